@@ -1,0 +1,343 @@
+//! All groups of dots that could be one marker, each with its log-likelihood ratio.
+//!
+//! A group is a clique of the match graph, at most one dot per camera, whose joint residual is within the gate of its
+//! size. Its weight is the log of how much better "these dots are one marker" explains them than "none of them is part
+//! of a marker" does, the position integrated out by Laplace's method:
+//!
+//! `w(T) = ln λ p(X) + ln P(these views) + Σ_z g_z − RSS/2 + (3/2) ln 2π − ½ ln det Σ JᵀJ`
+//!
+//! with `g_z = −ln 2πσ_z² − ln s_z` (see `frame.rs`; `ln P` in `scene.rs`). Every group grows from its two earliest dots
+//! by adding dots of later cameras, so each is met once; the residuals are linearised once at the pair's point (and
+//! again at the triple's when it moved far), after which a step of the search is a sum and a 3×3 solution.
+
+use super::frame::PreparedFrame;
+use super::pairs::PairGraph;
+use super::scene::{Scene, Tail};
+use crate::sight::{Linear, Minimum, Normal};
+use nalgebra::Vector3;
+
+/// Relinearise when the second-order error of the residual could exceed this (standard deviations).
+const LINEAR_LIMIT: f64 = 0.1;
+
+/// Limits of the enumeration.
+#[derive(Clone, Copy, Debug)]
+pub struct EnumerateOptions {
+    /// Search steps before the enumeration of a frame stops and the frame counts as not certified. Too small loses
+    /// certificates in crowded frames, too large spends seconds on one frame.
+    pub step_limit: usize,
+}
+
+impl Default for EnumerateOptions {
+    fn default() -> Self {
+        Self { step_limit: 2_000_000 }
+    }
+}
+
+/// Candidate groups with positive weight, stored flat.
+#[derive(Clone, Debug, Default)]
+pub struct Candidates {
+    /// Log-likelihood ratio of each group (nats).
+    pub weights: Vec<f64>,
+    /// Position of each group (m, world), to first order.
+    pub points: Vec<Vector3<f64>>,
+    /// First member of each group in `members`, and one past the last.
+    pub starts: Vec<u32>,
+    /// Dots of all groups.
+    pub members: Vec<u32>,
+    /// Search steps taken.
+    pub steps: usize,
+    /// Whether nothing was cut off by the limit.
+    pub complete: bool,
+}
+
+impl Candidates {
+    fn new() -> Self {
+        Self { starts: vec![0], complete: true, ..Self::default() }
+    }
+
+    /// Number of groups.
+    pub fn len(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// Whether there is no group.
+    pub fn is_empty(&self) -> bool {
+        self.weights.is_empty()
+    }
+
+    /// The dots of one group.
+    pub fn dots(&self, group: usize) -> &[u32] {
+        &self.members[self.starts[group] as usize..self.starts[group + 1] as usize]
+    }
+
+    fn push(&mut self, weight: f64, point: Vector3<f64>, dots: impl Iterator<Item = u32>) {
+        self.members.extend(dots);
+        self.starts.push(self.members.len() as u32);
+        self.weights.push(weight);
+        self.points.push(point);
+    }
+}
+
+/// Enumerates all candidate groups of a frame.
+pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, options: &EnumerateOptions) -> Candidates {
+    let model = scene.model;
+    let mut search = Search {
+        scene,
+        frame,
+        graph,
+        options,
+        found: Candidates::new(),
+        local: Local::default(),
+        members: Vec::with_capacity(Local::CAPACITY),
+        ridge: 12.0 / model.region.diagonal().powi(2),
+        constant: model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln(),
+    };
+    for a in 0..frame.len() as u32 {
+        for edge in &graph.later[a as usize] {
+            search.from_pair(a, edge.to, edge.point);
+            if !search.found.complete {
+                return search.found;
+            }
+        }
+    }
+    search.found
+}
+
+/// Dots around one pair, linearised at its point.
+#[derive(Default)]
+struct Local {
+    at: Vector3<f64>,
+    dots: Vec<u32>,
+    linear: Vec<Linear>,
+    normal: Vec<Normal>,
+    /// Bit j of `linked[i]`: local dots i < j can be in one group.
+    linked: Vec<u128>,
+}
+
+impl Local {
+    const CAPACITY: usize = 128;
+
+    fn clear(&mut self, at: Vector3<f64>) {
+        self.at = at;
+        self.dots.clear();
+        self.linear.clear();
+        self.normal.clear();
+        self.linked.clear();
+    }
+
+    fn push(&mut self, frame: &PreparedFrame, dot: u32) {
+        let linear = frame.sights[dot as usize].linearise(&self.at);
+        self.dots.push(dot);
+        self.normal.push(Normal::of(&linear, 1.0));
+        self.linear.push(linear);
+    }
+
+    fn pop(&mut self) {
+        self.dots.pop();
+        self.linear.pop();
+        self.normal.pop();
+    }
+
+    fn relinearise(&mut self, frame: &PreparedFrame, at: Vector3<f64>) {
+        self.at = at;
+        for i in 0..self.dots.len() {
+            self.linear[i] = frame.sights[self.dots[i] as usize].linearise(&at);
+            self.normal[i] = Normal::of(&self.linear[i], 1.0);
+        }
+    }
+
+    /// Connects local dots of different cameras that match each other.
+    fn link(&mut self, graph: &PairGraph) {
+        for i in 0..self.dots.len() {
+            let mut mask = 0u128;
+            for j in i + 1..self.dots.len() {
+                mask |= u128::from(graph.linked(self.dots[i], self.dots[j])) << j;
+            }
+            self.linked.push(mask);
+        }
+    }
+}
+
+struct Search<'a> {
+    scene: &'a Scene<'a>,
+    frame: &'a PreparedFrame,
+    graph: &'a PairGraph,
+    options: &'a EnumerateOptions,
+    found: Candidates,
+    local: Local,
+    /// The growing group: indices into the local dots.
+    members: Vec<u8>,
+    ridge: f64,
+    constant: f64,
+}
+
+/// Running sums of a growing group.
+#[derive(Clone, Copy)]
+struct Sums {
+    normal: Normal,
+    gain: f64,
+    cameras: u128,
+}
+
+impl Search<'_> {
+    fn from_pair(&mut self, a: u32, b: u32, at: Vector3<f64>) {
+        self.local.clear(at);
+        self.local.push(self.frame, a);
+        self.local.push(self.frame, b);
+        let start = Sums { normal: Normal::default().with_ridge(self.ridge), gain: 0.0, cameras: 0 };
+        let pair = self.plus(&self.plus(&start, 0), 1);
+        let Some(minimum) = pair.normal.minimum() else { return };
+        self.members.clear();
+        self.members.extend([0, 1]);
+        let Some((cost, minimum)) = self.cost(minimum) else { return };
+        if cost > self.scene.group_gates[2] {
+            return;
+        }
+        self.emit(&pair, cost, &minimum);
+        self.gather(a, b, &pair.normal);
+        if self.local.dots.len() > 2 {
+            self.local.link(self.graph);
+            let candidates = self.local.linked[0] & self.local.linked[1];
+            self.grow(&pair, candidates);
+        }
+    }
+
+    /// Adds to the local dots all dots of later cameras that match both of a pair, near enough to its point.
+    fn gather(&mut self, a: u32, b: u32, pair: &Normal) {
+        let frame = self.frame;
+        let widening = self.scene.model.tail.map_or(1.0, |tail| tail.scale * tail.scale);
+        let gate = self.scene.group_gates[3.min(self.scene.group_gates.len() - 1)] * widening;
+        let (of_a, of_b) = (&self.graph.later[a as usize], &self.graph.later[b as usize]);
+        let (mut i, mut j) = (of_a.partition_point(|e| e.to <= b), 0);
+        while i < of_a.len() && j < of_b.len() {
+            let dot = of_a[i].to;
+            match dot.cmp(&of_b[j].to) {
+                std::cmp::Ordering::Less => i += 1,
+                std::cmp::Ordering::Greater => j += 1,
+                std::cmp::Ordering::Equal => {
+                    (i, j) = (i + 1, j + 1);
+                    self.found.steps += 1;
+                    if self.local.dots.len() == Local::CAPACITY {
+                        self.found.complete = false;
+                        return;
+                    }
+                    if frame.sights[dot as usize].depth(&self.local.at) <= 1e-6 {
+                        continue;
+                    }
+                    self.local.push(frame, dot);
+                    let with = pair.plus(&self.local.normal[self.local.dots.len() - 1]).minimum();
+                    // Far moves make the linearised residual meaningless: those are kept for the exact look later.
+                    if with.is_some_and(|m| m.rss > gate && self.second_order(&m.step) < 1.0) {
+                        self.local.pop();
+                    }
+                }
+            }
+        }
+    }
+
+    fn plus(&self, sums: &Sums, local: usize) -> Sums {
+        let dot = self.local.dots[local] as usize;
+        Sums {
+            normal: sums.normal.plus(&self.local.normal[local]),
+            gain: sums.gain + self.frame.gains[dot],
+            cameras: sums.cameras | 1 << self.frame.sights[dot].camera,
+        }
+    }
+
+    /// How wrong (standard deviations) the linearised residual can be after a step: (step/depth)² focal/σ.
+    fn second_order(&self, step: &Vector3<f64>) -> f64 {
+        let sight = &self.frame.sights[self.local.dots[0] as usize];
+        let relative = step.norm_squared() / (self.local.at - sight.origin).norm_squared();
+        relative / sight.angle_sigma
+    }
+
+    fn grow(&mut self, sums: &Sums, candidates: u128) {
+        let mut rest = candidates;
+        while rest != 0 {
+            let next = rest.trailing_zeros() as usize;
+            rest &= rest - 1;
+            self.found.steps += 1;
+            if self.found.steps > self.options.step_limit {
+                self.found.complete = false;
+                return;
+            }
+            let with = self.plus(sums, next);
+            let Some(minimum) = with.normal.minimum() else { continue };
+            self.members.push(next as u8);
+            let beyond = rest & self.local.linked[next];
+            if self.members.len() == 3 && self.second_order(&minimum.step) > LINEAR_LIMIT {
+                self.grow_elsewhere(&with, minimum.step, beyond);
+            } else {
+                self.visit(&with, minimum, beyond);
+            }
+            self.members.pop();
+        }
+    }
+
+    fn visit(&mut self, sums: &Sums, minimum: Minimum, candidates: u128) {
+        let Some((cost, minimum)) = self.cost(minimum) else { return };
+        if cost <= self.scene.group_gates[self.members.len()] {
+            self.emit(sums, cost, &minimum);
+            self.grow(sums, candidates);
+        }
+    }
+
+    /// A triple that moved far from the pair's point: linearise there, look at its branch, and come back.
+    fn grow_elsewhere(&mut self, sums: &Sums, step: Vector3<f64>, candidates: u128) {
+        let home = self.local.at;
+        let mut at = home + step;
+        for _ in 0..5 {
+            if self.members.iter().any(|&i| self.frame.sights[self.local.dots[i as usize] as usize].depth(&at) <= 1e-6) {
+                break;
+            }
+            self.local.relinearise(self.frame, at);
+            let add = |sum: Normal, &i: &u8| sum.plus(&self.local.normal[i as usize]);
+            let normal = self.members.iter().fold(Normal::default().with_ridge(self.ridge), add);
+            let Some(minimum) = normal.minimum() else { break };
+            if self.second_order(&minimum.step) <= LINEAR_LIMIT {
+                self.visit(&Sums { normal, ..*sums }, minimum, candidates);
+                break;
+            }
+            at += minimum.step;
+        }
+        self.local.relinearise(self.frame, home);
+    }
+
+    /// −2 ln likelihood of the residuals (χ² without a tail), with the minimum it belongs to.
+    fn cost(&self, minimum: Minimum) -> Option<(f64, Minimum)> {
+        let Some(tail) = self.scene.model.tail else { return Some((minimum.rss, minimum)) };
+        robust_cost(&self.local, &self.members, tail, minimum)
+    }
+
+    fn emit(&mut self, sums: &Sums, cost: f64, minimum: &Minimum) {
+        let point = self.local.at + minimum.step;
+        let visible = (self.scene.visible(&point) | sums.cameras).count_ones();
+        let weight = self.constant + self.scene.ln_density(&point) + self.scene.ln_views[visible as usize][self.members.len()] + sums.gain
+            - 0.5 * (cost + minimum.determinant.ln());
+        if weight > 0.0 {
+            let local = &self.local;
+            self.found.push(weight, point, self.members.iter().map(|&i| local.dots[i as usize]));
+        }
+    }
+}
+
+/// Two reweighted steps with the tail's weights, from the least-squares minimum.
+fn robust_cost(local: &Local, members: &[u8], tail: Tail, start: Minimum) -> Option<(f64, Minimum)> {
+    let total = |step: &Vector3<f64>| members.iter().map(|&i| tail.cost(local.linear[i as usize].squared_after(step))).sum();
+    let mut best: (f64, Minimum) = (total(&start.step), start);
+    let mut step = start.step;
+    for _ in 0..2 {
+        let weighted = members.iter().fold(Normal::default(), |sum, &i| {
+            let linear = &local.linear[i as usize];
+            sum.plus(&Normal::of(linear, tail.weight(linear.squared_after(&step))))
+        });
+        let minimum = weighted.with_ridge(1e-6).minimum()?;
+        step = minimum.step;
+        let cost = total(&step);
+        if cost < best.0 {
+            best = (cost, minimum);
+        }
+    }
+    Some(best)
+}
+

@@ -1,0 +1,12 @@
+//! markerloom's algorithms: from anonymous image dots of calibrated cameras to ghost-free 3D points.
+//!
+//! Units and frames everywhere: metres, seconds, radians, `f64`; world right-handed with Z up; pixel (0, 0) is the
+//! centre of the top-left pixel. Nothing here reads files, prints, or starts threads it was not given.
+
+pub mod camera;
+pub mod chi2;
+pub mod correspond;
+pub mod reconstruct;
+pub mod sight;
+pub mod synth;
+pub mod triangulate;

@@ -1,0 +1,248 @@
+//! A walking and a dancing figure: capsules for trunk and limbs, markers on their surface.
+//!
+//! Segments are chained by joint rotations; the motions are sums of sines with incommensurate frequencies, so that a
+//! take never repeats. The capsules hide markers from cameras as a body does. Not anatomy: a test bed for occlusion.
+
+use super::random::Random;
+use nalgebra::{Rotation3, Unit, Vector3};
+use std::f64::consts::TAU;
+
+/// A cylinder with round ends.
+#[derive(Clone, Copy, Debug)]
+pub struct Capsule {
+    /// Ends of the axis (m, world).
+    pub ends_m: [Vector3<f64>; 2],
+    /// Radius (m).
+    pub radius_m: f64,
+}
+
+impl Capsule {
+    /// Whether the capsule cuts the line of sight from a marker to a camera. A marker on this capsule's own surface is
+    /// hidden only if the line goes through the capsule's inside.
+    pub fn hides(&self, marker: &Vector3<f64>, camera: &Vector3<f64>) -> bool {
+        let start = marker + (camera - marker).normalize() * 1e-3;
+        segment_distance(&start, camera, &self.ends_m[0], &self.ends_m[1]) < self.radius_m - 2e-3
+    }
+}
+
+/// Smallest distance between two segments (Ericson 2005, "Real-Time Collision Detection", 5.1.9).
+fn segment_distance(p1: &Vector3<f64>, q1: &Vector3<f64>, p2: &Vector3<f64>, q2: &Vector3<f64>) -> f64 {
+    let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
+    let (a, e, f) = (d1.norm_squared(), d2.norm_squared(), d2.dot(&r));
+    let (b, c) = (d1.dot(&d2), d1.dot(&r));
+    let denominator = a * e - b * b;
+    let mut s = if denominator > 1e-12 { ((b * f - c * e) / denominator).clamp(0.0, 1.0) } else { 0.0 };
+    let mut t = (b * s + f) / e.max(1e-12);
+    if !(0.0..=1.0).contains(&t) {
+        t = t.clamp(0.0, 1.0);
+        s = ((b * t - c) / a.max(1e-12)).clamp(0.0, 1.0);
+    }
+    ((p1 + d1 * s) - (p2 + d2 * t)).norm()
+}
+
+/// What the figure does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Motion {
+    /// Walks in a circle of 1 m radius.
+    Walk,
+    /// Turns, bends and throws arms and legs about.
+    Dance,
+}
+
+struct Segment {
+    name: &'static str,
+    parent: Option<usize>,
+    /// Start of the segment in its parent's frame (m): x right, y forward, z up, from the parent's start.
+    offset: [f64; 3],
+    /// Direction and length in its own frame (m).
+    axis: [f64; 3],
+    radius: f64,
+}
+
+const SEGMENTS: [Segment; 14] = [
+    Segment { name: "pelvis", parent: None, offset: [0.0, 0.0, 0.0], axis: [0.0, 0.0, 0.14], radius: 0.13 },
+    Segment { name: "thorax", parent: Some(0), offset: [0.0, 0.0, 0.16], axis: [0.0, 0.0, 0.34], radius: 0.14 },
+    Segment { name: "head", parent: Some(1), offset: [0.0, 0.02, 0.52], axis: [0.0, 0.0, 0.12], radius: 0.1 },
+    Segment { name: "upper_arm_l", parent: Some(1), offset: [-0.2, 0.0, 0.36], axis: [0.0, 0.0, -0.28], radius: 0.045 },
+    Segment { name: "forearm_l", parent: Some(3), offset: [0.0, 0.0, -0.28], axis: [0.0, 0.0, -0.25], radius: 0.035 },
+    Segment { name: "hand_l", parent: Some(4), offset: [0.0, 0.0, -0.25], axis: [0.0, 0.0, -0.14], radius: 0.03 },
+    Segment { name: "upper_arm_r", parent: Some(1), offset: [0.2, 0.0, 0.36], axis: [0.0, 0.0, -0.28], radius: 0.045 },
+    Segment { name: "forearm_r", parent: Some(6), offset: [0.0, 0.0, -0.28], axis: [0.0, 0.0, -0.25], radius: 0.035 },
+    Segment { name: "hand_r", parent: Some(7), offset: [0.0, 0.0, -0.25], axis: [0.0, 0.0, -0.14], radius: 0.03 },
+    Segment { name: "thigh_l", parent: Some(0), offset: [-0.1, 0.0, -0.02], axis: [0.0, 0.0, -0.42], radius: 0.075 },
+    Segment { name: "shank_l", parent: Some(9), offset: [0.0, 0.0, -0.42], axis: [0.0, 0.0, -0.4], radius: 0.05 },
+    Segment { name: "thigh_r", parent: Some(0), offset: [0.1, 0.0, -0.02], axis: [0.0, 0.0, -0.42], radius: 0.075 },
+    Segment { name: "shank_r", parent: Some(11), offset: [0.0, 0.0, -0.42], axis: [0.0, 0.0, -0.4], radius: 0.05 },
+    Segment { name: "foot_l", parent: Some(10), offset: [0.0, -0.04, -0.4], axis: [0.0, 0.2, 0.0], radius: 0.04 },
+];
+const RIGHT_FOOT: Segment =
+    Segment { name: "foot_r", parent: Some(12), offset: [0.0, -0.04, -0.4], axis: [0.0, 0.2, 0.0], radius: 0.04 };
+const N_SEGMENTS: usize = SEGMENTS.len() + 1;
+
+fn segment(i: usize) -> &'static Segment {
+    if i < SEGMENTS.len() { &SEGMENTS[i] } else { &RIGHT_FOOT }
+}
+
+/// A marker glued to a segment.
+struct Glued {
+    label: String,
+    segment: usize,
+    /// Place in the segment's frame (m).
+    place: Vector3<f64>,
+}
+
+/// A figure with its markers and its own habits of motion.
+pub struct Body {
+    markers: Vec<Glued>,
+    motion: Motion,
+    phases: Vec<f64>,
+    center: Vector3<f64>,
+}
+
+/// The figure at one moment.
+pub struct Pose {
+    /// Marker positions (m, world), in the order of [`Body::labels`].
+    pub markers_m: Vec<Vector3<f64>>,
+    /// What hides markers.
+    pub capsules: Vec<Capsule>,
+}
+
+impl Body {
+    /// A figure with `n_markers` markers spread over its segments, at least one on each where there are enough.
+    pub fn new(motion: Motion, n_markers: usize, seed: u64, center: Vector3<f64>) -> Self {
+        let mut random = Random::new(seed, u64::MAX);
+        let phases = (0..3 * N_SEGMENTS).map(|_| random.between(0.0, TAU)).collect();
+        let mut markers = Vec::new();
+        for k in 0..n_markers {
+            let i = k % N_SEGMENTS;
+            let part = segment(i);
+            let axis = Vector3::from(part.axis);
+            let along = random.between(0.1, 0.9);
+            let across = Unit::new_normalize(axis.cross(&Vector3::new(0.3, 0.4, 0.2)));
+            let around = Rotation3::from_axis_angle(&Unit::new_normalize(axis), random.between(0.0, TAU));
+            let place = axis * along + around * across.into_inner() * (part.radius + 0.008);
+            markers.push(Glued { label: format!("{}_{}", part.name, k / N_SEGMENTS + 1), segment: i, place });
+        }
+        Self { markers, motion, phases, center }
+    }
+
+    /// Names of the markers.
+    pub fn labels(&self) -> Vec<String> {
+        self.markers.iter().map(|m| m.label.clone()).collect()
+    }
+
+    /// The figure at a time (s).
+    pub fn pose(&self, time_s: f64) -> Pose {
+        let (root, heading) = self.root(time_s);
+        let mut frames: Vec<(Vector3<f64>, Rotation3<f64>)> = Vec::with_capacity(N_SEGMENTS);
+        for i in 0..N_SEGMENTS {
+            let part = segment(i);
+            let local = self.joint(i, time_s);
+            let frame = match part.parent {
+                None => (root, heading * local),
+                Some(p) => {
+                    let (start, turn) = &frames[p];
+                    (start + turn * Vector3::from(part.offset), turn * local)
+                }
+            };
+            frames.push(frame);
+        }
+        let capsule = |i: usize| {
+            let (start, turn) = &frames[i];
+            Capsule { ends_m: [*start, start + turn * Vector3::from(segment(i).axis)], radius_m: segment(i).radius }
+        };
+        let place = |m: &Glued| frames[m.segment].0 + frames[m.segment].1 * m.place;
+        Pose { markers_m: self.markers.iter().map(place).collect(), capsules: (0..N_SEGMENTS).map(capsule).collect() }
+    }
+
+    fn root(&self, t: f64) -> (Vector3<f64>, Rotation3<f64>) {
+        match self.motion {
+            Motion::Walk => {
+                let angle = 1.2 * t + self.phases[0];
+                let bob = 0.02 * (2.0 * TAU * 0.9 * t).sin();
+                let place = Vector3::new(angle.cos(), angle.sin(), 0.93 + bob);
+                (place + self.center, Rotation3::from_axis_angle(&Vector3::z_axis(), angle))
+            }
+            Motion::Dance => {
+                let sway = |rate: f64, phase: f64| (TAU * rate * t + phase).sin();
+                let place = Vector3::new(
+                    0.5 * sway(0.23, self.phases[0]),
+                    0.4 * sway(0.31, self.phases[1]),
+                    0.9 + 0.06 * sway(1.1, self.phases[2]),
+                );
+                let turn = 1.6 * sway(0.17, self.phases[3]) + 0.9 * t;
+                (place + self.center, Rotation3::from_axis_angle(&Vector3::z_axis(), turn))
+            }
+        }
+    }
+
+    /// Rotation of a segment against its parent.
+    fn joint(&self, i: usize, t: f64) -> Rotation3<f64> {
+        let name = segment(i).name;
+        let side = if name.ends_with("_l") { 1.0 } else { -1.0 };
+        let swing = |rate: f64, phase: f64| (TAU * rate * t + phase).sin();
+        match self.motion {
+            Motion::Walk => {
+                let stride = swing(0.9, 0.0) * side;
+                let bend = match name.split('_').next().unwrap_or_default() {
+                    "thigh" => 0.45 * stride,
+                    "shank" => -0.4 - 0.4 * swing(0.9, 1.2 * side),
+                    "upper" => -0.4 * stride,
+                    "forearm" => 0.4 - 0.2 * stride,
+                    _ => 0.03 * swing(0.9, 0.5),
+                };
+                Rotation3::from_axis_angle(&Vector3::x_axis(), bend)
+            }
+            Motion::Dance => {
+                let reach = match name.split('_').next().unwrap_or_default() {
+                    "pelvis" => [0.15, 0.15, 0.2],
+                    "thorax" | "head" => [0.35, 0.25, 0.4],
+                    "upper" => [1.4, 1.0, 0.6],
+                    "forearm" => [0.9, 0.1, 0.5],
+                    "thigh" => [0.6, 0.3, 0.2],
+                    "shank" => [0.5, 0.02, 0.05],
+                    _ => [0.4, 0.2, 0.1],
+                };
+                let bias = match name.split('_').next().unwrap_or_default() {
+                    "upper" => [0.5, -0.8 * side, 0.0],
+                    "forearm" => [1.0, 0.0, 0.0],
+                    "thigh" => [0.3, 0.0, 0.0],
+                    "shank" => [-0.55, 0.0, 0.0],
+                    _ => [0.0; 3],
+                };
+                let rates = [0.53 + 0.031 * i as f64, 0.37 + 0.023 * i as f64, 0.29 + 0.017 * i as f64];
+                let angle = |axis: usize| bias[axis] + reach[axis] * swing(rates[axis], self.phases[3 * i + axis]);
+                Rotation3::from_euler_angles(angle(0), angle(1), angle(2))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn markers_of_one_segment_stay_rigid_and_move_smoothly() {
+        let body = Body::new(Motion::Dance, 41, 5, Vector3::zeros());
+        let (a, b) = (0, N_SEGMENTS); // both on the pelvis
+        let distance = |p: &Pose| (p.markers_m[a] - p.markers_m[b]).norm();
+        let first = distance(&body.pose(0.0));
+        let mut before = body.pose(0.0);
+        for frame in 1..500 {
+            let pose = body.pose(f64::from(frame) * 0.01);
+            assert!((distance(&pose) - first).abs() < 1e-9);
+            let fastest = pose.markers_m.iter().zip(&before.markers_m).map(|(p, q)| (p - q).norm()).fold(0.0, f64::max);
+            assert!(fastest < 0.12, "a marker moved {fastest} m in 10 ms");
+            before = pose;
+        }
+    }
+
+    #[test]
+    fn a_figure_stands_on_the_floor_at_human_size() {
+        let pose = Body::new(Motion::Walk, 41, 5, Vector3::zeros()).pose(0.0);
+        let heights = pose.markers_m.iter().map(|p| p.z);
+        assert!(heights.clone().fold(f64::INFINITY, f64::min) > -0.15);
+        assert!((1.4..2.0).contains(&heights.fold(0.0, f64::max)));
+    }
+}

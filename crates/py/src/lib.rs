@@ -1,0 +1,33 @@
+//! The extension module `markerloom._core`: converts Python values to the engine's types and back, nothing else.
+
+mod c3d;
+mod conv;
+mod errors;
+mod reconstruct;
+mod rig;
+mod synth;
+mod triangulate;
+mod x2d;
+
+use pyo3::prelude::*;
+
+/// Private; the public names are chosen in `markerloom/__init__.py`.
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    errors::register(module)?;
+    module.add_class::<rig::PyRig>()?;
+    module.add_class::<reconstruct::PyModel>()?;
+    module.add_class::<c3d::PyC3d>()?;
+    module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
+    module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;
+    module.add_function(wrap_pyfunction!(reconstruct::candidates, module)?)?;
+    module.add_function(wrap_pyfunction!(triangulate::triangulate, module)?)?;
+    module.add_function(wrap_pyfunction!(triangulate::two_rays, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::observe, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::cloud, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::body_labels, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::body_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::rig, module)?)?;
+    module.add_function(wrap_pyfunction!(x2d::read_x2d, module)?)?;
+    Ok(())
+}

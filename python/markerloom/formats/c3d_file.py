@@ -1,0 +1,164 @@
+"""C3D as points; the lossless file itself is `markerloom._core.C3d`.
+
+Kinds and sigmas have no place in a C3D sample, so they stand in a group MARKERLOOM: KINDS, KINDS2, … (bytes) and
+SIGMAS, SIGMAS2, … (floats, mm), frame by frame, all points of a frame in order, absent samples included.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from markerloom import _core
+from markerloom.errors import BytesError, FormatError, InputError
+from markerloom.formats.files import read_bytes, write_bytes
+from markerloom.points import MEASURED, Points
+
+SCALE = 0.02
+TO_MM = {"mm": 1.0, "millimeters": 1.0, "cm": 10.0, "m": 1000.0, "meters": 1000.0, "in": 25.4, "": 1.0}
+GROUP = "MARKERLOOM"
+CHUNK_BYTES = 255 * 250
+CHUNK_FLOATS = 255 * 62
+
+
+def read_file(path: str | Path) -> _core.C3d:
+    """The whole file, as it is."""
+    try:
+        return _core.C3d.read(read_bytes(path))
+    except BytesError as error:
+        raise FormatError(path, str(error)) from None
+
+
+def write_file(file: _core.C3d, path: str | Path) -> None:
+    """Write a whole file."""
+    try:
+        data = file.write()
+    except BytesError as error:
+        raise InputError(f"{path} cannot be written as C3D: {error}") from None
+    write_bytes(path, data)
+
+
+def read(path: str | Path) -> Points:
+    """The points of a file, in millimetres, Z up."""
+    file = read_file(path)
+    unit = (file.strings("POINT", "UNITS") or ["mm"])[0].strip().lower()
+    if unit not in TO_MM:
+        raise FormatError(path, f"unknown unit {unit!r}", where="POINT:UNITS")
+    xyz = file.coordinates() * TO_MM[unit]
+    residual, mask = file.residuals()
+    present = (residual >= 0) & np.isfinite(xyz).all(axis=2)
+    frames, slots, _ = xyz.shape
+    if (file.strings("POINT", "Y_SCREEN") or [""])[0].strip().upper() == "+Y":
+        xyz = np.stack([xyz[..., 0], -xyz[..., 2], xyz[..., 1]], axis=2)
+    labels = _labels(file, slots)
+    kinds, sigmas = _own(file, frames, slots)
+    frame, slot = np.nonzero(present)
+    names = np.array(["" if name.startswith("*") else name for name in labels] or [""], dtype=str)
+    return Points.of(
+        frame.astype(np.int64),
+        slot.astype(np.int64),
+        xyz[present],
+        label=names[slot],
+        kind=kinds[present],
+        sigma_mm=sigmas[present],
+        residual_mm=np.where(residual[present] > 0, residual[present] * TO_MM[unit], np.nan),
+        camera_mask=mask[present].astype(np.int64),
+        rate_hz=float(file.rate_hz) if file.rate_hz > 0 else None,
+        frames=np.arange(frames),
+        source=str(path),
+        tracked=(file.number(GROUP, "TRACKED") or 0) > 0 or not any(n.startswith("*") for n in labels),
+    )
+
+
+def _labels(file: _core.C3d, slots: int) -> list[str]:
+    labels = file.strings("POINT", "LABELS")[:slots]
+    return labels + [f"*{i + 1}" for i in range(len(labels), slots)]
+
+
+def _own(file: _core.C3d, frames: int, slots: int) -> tuple[np.ndarray, np.ndarray]:
+    kinds = np.full((frames, slots), MEASURED, np.int64)
+    sigmas = np.full((frames, slots), np.nan)
+    for name, target in (("KINDS", kinds), ("SIGMAS", sigmas)):
+        values: list[float] = []
+        for i in range(1, 100_000):
+            part = file.numbers(GROUP, name if i == 1 else f"{name}{i}")
+            if not part:
+                break
+            values += part
+        if len(values) >= frames * slots > 0:
+            target[:] = np.reshape(values[: frames * slots], (frames, slots))
+    sigmas[sigmas < 0] = np.nan
+    return kinds, sigmas
+
+
+def write(points: Points, path: str | Path) -> None:
+    """Write points as a new file: float, mm, Z up, first frame 1."""
+    rate = points.rate_hz
+    if rate is None:
+        raise InputError(f"a C3D needs a frame rate: state it with --rate-hz ({path})")
+    names, slot = points.slots()
+    frames, slots = len(points.frames), len(names)
+    row = np.searchsorted(points.frames, points.frame)
+    xyz = np.zeros((frames, slots, 3))
+    words = np.full((frames, slots), -1.0)
+    sigmas = np.full((frames, slots), -1.0)
+    kinds = np.zeros((frames, slots), np.uint8)
+    xyz[row, slot] = points.xyz_mm
+    words[row, slot] = _words(points)
+    sigmas[row, slot] = np.where(np.isfinite(points.sigma_mm), points.sigma_mm, -1.0)
+    kinds[row, slot] = points.kind
+    file = _core.C3d.empty(rate, 1)
+    file.set_points(xyz, words)
+    _set_standard_groups(file, names, frames, rate)
+    _set_own_group(file, kinds, sigmas, points)
+    write_file(file, path)
+
+
+def _words(points: Points) -> np.ndarray:
+    """Residual words: at least one step for what was measured, 0 for what was not, cameras 1–7 in the high byte."""
+    steps = np.clip(np.round(np.nan_to_num(points.residual_mm) / SCALE), 1, 255)
+    measured = points.kind == MEASURED
+    return np.where(measured, steps + 256 * (points.camera_mask & 0x7F), 0.0)
+
+
+def _set_standard_groups(file: _core.C3d, names: list[str], frames: int, rate: float) -> None:
+    file.set_ints("POINT", "USED", [len(names)])
+    file.set_floats("POINT", "SCALE", [-SCALE])
+    file.set_floats("POINT", "RATE", [rate])
+    file.set_ints("POINT", "DATA_START", [0])
+    file.set_ints("POINT", "FRAMES", [min(frames, 65_535)])
+    file.set_strings("POINT", "LABELS", names)
+    file.set_strings("POINT", "DESCRIPTIONS", names)
+    file.set_text("POINT", "UNITS", "mm")
+    file.set_text("POINT", "X_SCREEN", "+X")
+    file.set_text("POINT", "Y_SCREEN", "+Z")
+    file.set_ints("ANALOG", "USED", [0])
+    file.set_ints("ANALOG", "OFFSET", [], [0])
+    file.set_floats("ANALOG", "SCALE", [], [0])
+    file.set_floats("ANALOG", "GEN_SCALE", [1.0])
+    file.set_floats("ANALOG", "RATE", [rate])
+    file.set_ints("FORCE_PLATFORM", "USED", [0])
+    file.set_ints("TRIAL", "ACTUAL_START_FIELD", [1, 0], [2])
+    file.set_ints("TRIAL", "ACTUAL_END_FIELD", [frames & 0xFFFF, frames >> 16], [2])
+    file.set_floats("TRIAL", "CAMERA_RATE", [rate])
+    file.set_text("MANUFACTURER", "SOFTWARE", "markerloom")
+
+
+def _set_own_group(file: _core.C3d, kinds: np.ndarray, sigmas: np.ndarray, points: Points) -> None:
+    file.set_ints(GROUP, "VERSION", [1])
+    file.set_ints(GROUP, "TRACKED", [int(points.tracked)])
+    if np.any(kinds):
+        flat = kinds.ravel().tobytes()
+        for i, start in enumerate(range(0, len(flat), CHUNK_BYTES)):
+            part = flat[start : start + CHUNK_BYTES]
+            rows = -(-len(part) // 255)
+            padded = part + bytes(255 * rows - len(part))
+            file.set_bytes(GROUP, "KINDS" if i == 0 else f"KINDS{i + 1}", padded, [255, rows])
+    if np.any(sigmas >= 0):
+        values = sigmas.ravel().astype(np.float32)
+        for i, start in enumerate(range(0, len(values), CHUNK_FLOATS)):
+            part = values[start : start + CHUNK_FLOATS]
+            rows = -(-len(part) // 255)
+            padded = np.append(part, np.full(255 * rows - len(part), -1, np.float32))
+            file.set_floats(GROUP, "SIGMAS" if i == 0 else f"SIGMAS{i + 1}", padded.tolist(), [255, rows])

@@ -1,0 +1,116 @@
+"""Points: one row per 3D point of a take, with its uncertainty and where it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+KINDS = ("measured", "predicted", "filled", "edited")
+MEASURED = 0
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points as columns, ordered by frame and track.
+
+    ``kind`` holds indices into ``KINDS``. Values that a source does not know are NaN (``sigma_mm``, ``residual_px``,
+    ``confidence``) or −1 (``rays``). ``residual_mm`` is the mean distance between point and rays.
+    """
+
+    frame: Ints
+    track: Ints
+    label: NDArray[np.str_]
+    xyz_mm: Array
+    sigma_mm: Array
+    rays: Ints
+    residual_px: Array
+    confidence: Array
+    kind: Ints
+    residual_mm: Array
+    camera_mask: Ints
+    rate_hz: float | None = None
+    frames: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    up_axis: str = "z"
+    tracked: bool = True
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        """Fill in the frame numbers where the source did not know them."""
+        if len(self.frames) == 0 and len(self.frame) > 0:
+            object.__setattr__(self, "frames", np.arange(self.frame.min(), self.frame.max() + 1))
+
+    @staticmethod
+    def of(frame: Ints, track: Ints, xyz_mm: Array, **known: object) -> Points:
+        """Points with defaults for everything that is not known."""
+        n = len(frame)
+        defaults: dict[str, object] = {
+            "label": np.full(n, "", dtype="<U1"),
+            "sigma_mm": np.full(n, np.nan),
+            "rays": np.full(n, -1, np.int64),
+            "residual_px": np.full(n, np.nan),
+            "confidence": np.full(n, np.nan),
+            "kind": np.zeros(n, np.int64),
+            "residual_mm": np.full(n, np.nan),
+            "camera_mask": np.zeros(n, np.int64),
+        }
+        return Points(frame=frame, track=track, xyz_mm=xyz_mm, **{**defaults, **known})  # pyright: ignore[reportArgumentType]
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.frame)
+
+    def keep(self, rows: NDArray[np.bool_]) -> Points:
+        """The rows for which ``rows`` is true."""
+        names = ("frame", "track", "label", "xyz_mm", "sigma_mm", "rays", "residual_px", "confidence", "kind")
+        columns = {name: getattr(self, name)[rows] for name in (*names, "residual_mm", "camera_mask")}
+        return replace(self, **columns, frames=self.frames)
+
+    def select(self, start: int | None, stop: int | None) -> Points:
+        """The frames from ``start`` to before ``stop``."""
+        low = -(2**62) if start is None else start
+        high = 2**62 if stop is None else stop
+        frames = self.frames[(self.frames >= low) & (self.frames < high)]
+        return replace(self.keep((self.frame >= low) & (self.frame < high)), frames=frames)
+
+    def slots(self) -> tuple[list[str], Ints]:
+        """Trajectories for formats with one column per marker: their names, and the column of each row.
+
+        Labelled tracks keep their label; the others are called ``*1``, ``*2``, … in order of track.
+        """
+        tracks = np.unique(self.track)
+        column_of = {int(t): i for i, t in enumerate(tracks)}
+        names, unnamed = [], 0
+        first_row = {int(t): int(r) for r, t in reversed(list(enumerate(self.track)))}
+        for t in tracks:
+            label = str(self.label[first_row[int(t)]])
+            if not label:
+                unnamed += 1
+                label = f"*{unnamed}"
+            names.append(label)
+        return names, np.array([column_of[int(t)] for t in self.track], np.int64)
+
+    def save(self, path: str | Path) -> None:
+        """Write to .c3d, .trc, .parquet or .csv."""
+        from markerloom.formats import write_points
+
+        write_points(self, path)
+
+    def to_arrow(self) -> pa.Table:
+        """The points table."""
+        from markerloom.formats.points_table import to_arrow
+
+        return to_arrow(self)
+
+    def to_pandas(self) -> object:
+        """The points table as a data frame; needs pandas."""
+        return self.to_arrow().to_pandas()

@@ -1,0 +1,191 @@
+"""Observations and a rig to points, each frame on its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from markerloom import _core
+from markerloom.errors import InputError
+from markerloom.observations import DotArrays, MatchedDots, Observations, match
+from markerloom.points import Points
+from markerloom.rig import Rig
+
+METHODS = ("optimal", "relaxation", "epipolar")
+CHUNK_FRAMES = 64
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Reconstruction(Points):
+    """Points of a take without identity over time, with the dots they come from and a report."""
+
+    assignments: pa.Table = field(default_factory=lambda: pa.table({}))
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+def reconstruct(
+    observations: Observations,
+    rig: Rig,
+    *,
+    method: str = "optimal",
+    frames: tuple[int | None, int | None] | None = None,
+    threads: int = 0,
+    noise_px: float | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Join the dots of each frame into 3D points.
+
+    ``method``: ``optimal`` (maximum likelihood, proven), ``relaxation`` (the seed paper's) or ``epipolar`` (every
+    match). ``frames``: first and one past the last. ``threads``: 0 = all cores; the result does not depend on it.
+    ``noise_px``: noise of the dots where it is known; estimated from the take otherwise.
+    ``progress(done, total)`` is called now and then.
+
+    Raises ``InputError`` when observations and rig do not belong together, ``RigError`` when the cameras cannot give
+    a depth.
+    """
+    if method not in METHODS:
+        raise InputError(f"method '{method}': choose one of {', '.join(METHODS)}")
+    if frames is not None:
+        observations = observations.select(*frames)
+    clock = time.perf_counter()
+    stages = {}
+    rig, dots, notes = _usable(observations, rig)
+    stages["match"] = time.perf_counter() - clock
+    model = _core.estimate_model(rig.core, _arrays(dots, 0, len(dots.frames)), noise_px)
+    stages["estimate"] = time.perf_counter() - clock - stages["match"]
+    parts, ms_per_frame = [], []
+    for first in range(0, len(dots.frames), CHUNK_FRAMES):
+        last = min(first + CHUNK_FRAMES, len(dots.frames))
+        start = time.perf_counter()
+        part = _core.reconstruct(rig.core, _arrays(dots, first, last), model, method, threads)
+        ms_per_frame += [1000 * (time.perf_counter() - start) / (last - first)] * (last - first)
+        parts.append(_offset(part, first, int(dots.starts[first])))
+        if progress:
+            progress(last, len(dots.frames))
+    stages["correspond"] = sum(ms_per_frame) / 1000
+    solved = _joined(parts)
+    report = _report(solved, dots, rig, model.describe(), method, notes)
+    report["timing"] = _timing(time.perf_counter() - clock, ms_per_frame, stages)
+    return _as_points(solved, dots, rig, observations, report)
+
+
+def _usable(observations: Observations, rig: Rig) -> tuple[Rig, MatchedDots, list[str]]:
+    """The cameras that take part, and their dots."""
+    dots = match(observations, rig)
+    notes = list(dots.warnings)
+    if len(observations) == 0:
+        raise InputError(f"there are no observations to reconstruct ({observations.source})")
+    used = np.unique(dots.camera)
+    if len(used) < 2:
+        only = rig.cameras[used[0]].id if len(used) else "none"
+        raise InputError(f"usable observations come from one camera only ({only}): a 3D point needs at least 2")
+    if len(used) < len(rig):
+        silent = [c.id for i, c in enumerate(rig.cameras) if i not in set(used.tolist())]
+        notes.append(f"cameras without any observation are left out: {', '.join(silent)}")
+        rig = Rig(tuple(rig.cameras[i] for i in used), rig.source)
+        dots = MatchedDots(**{**vars(dots), "camera": np.searchsorted(used, dots.camera)})
+    if len({tuple(np.round(c.position_m, 4)) for c in rig.cameras}) < 2:
+        raise InputError("all cameras stand at the same place: no depth can be measured; check the calibration")
+    return rig, dots, notes
+
+
+def _arrays(dots: MatchedDots, first: int, last: int) -> DotArrays:
+    return DotArrays(*dots.of_frames(first, last))
+
+
+def _offset(part: dict[str, Any], frame: int, dot: int) -> dict[str, Any]:
+    part["frame"] = part["frame"] + frame
+    part["dots"] = part["dots"] + dot
+    part["sizes"] = np.diff(part.pop("dot_starts"))
+    return part
+
+
+def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    return {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+
+
+def _as_points(
+    solved: dict[str, Any], dots: MatchedDots, rig: Rig, observations: Observations, report: dict[str, Any]
+) -> Reconstruction:
+    n = len(solved["frame"])
+    frame_index = solved["frame"]
+    new_frame = np.ones(n, bool)
+    new_frame[1:] = np.diff(frame_index) != 0
+    track = np.arange(n) - np.maximum.accumulate(np.where(new_frame, np.arange(n), 0)) if n else np.zeros(0, np.int64)
+    owner = np.repeat(np.arange(n), solved["sizes"])
+    camera = dots.camera[solved["dots"]]
+    mask = np.zeros(n, np.int64)
+    np.bitwise_or.at(mask, owner, np.where(camera < 7, 1 << np.minimum(camera, 7), 0))
+    variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
+    assignments = pa.table(
+        {
+            "frame": dots.frames[frame_index[owner]],
+            "camera": [rig.cameras[c].id for c in camera],
+            "observation": dots.observation[solved["dots"]],
+            "track": track[owner],
+        }
+    )
+    return Reconstruction(
+        frame=dots.frames[frame_index].astype(np.int64),
+        track=track.astype(np.int64),
+        label=np.full(n, "", dtype="<U1"),
+        xyz_mm=1000.0 * solved["point_m"],
+        sigma_mm=1000.0 * np.sqrt(variance),
+        rays=solved["sizes"].astype(np.int64),
+        residual_px=solved["residual_px"],
+        confidence=solved["confidence"],
+        kind=np.zeros(n, np.int64),
+        residual_mm=1000.0 * solved["ray_distance_m"],
+        camera_mask=mask,
+        rate_hz=observations.rate_hz,
+        frames=dots.frames,
+        tracked=False,
+        source=observations.source,
+        assignments=assignments,
+        report=report,
+    )
+
+
+def _report(
+    solved: dict[str, Any], dots: MatchedDots, rig: Rig, model: dict[str, Any], method: str, notes: list[str]
+) -> dict[str, Any]:
+    frames = len(dots.frames)
+    residual = solved["residual_px"]
+    return {
+        "frames": frames,
+        "warnings": notes,
+        "method": method,
+        "cameras": rig.ids,
+        "points_per_frame": len(solved["frame"]) / max(frames, 1),
+        "rays_mean": float(solved["sizes"].mean()) if len(residual) else 0.0,
+        "residual_px": statistics(residual),
+        "certified_frames": float(solved["certified"].mean()) if frames else 0.0,
+        "largest_gap_nats": float(np.max(solved["bound"] - solved["objective"], initial=0.0)),
+        "noise_px": dict(zip(rig.ids, model["noise"], strict=True)),
+        "model": model,
+        "trajectories": 0,
+    }
+
+
+def statistics(values: np.ndarray) -> dict[str, float]:
+    """Median, root mean square and 95th percentile; NaN where there is nothing."""
+    if len(values) == 0:
+        return {"median": float("nan"), "rms": float("nan"), "p95": float("nan")}
+    return {
+        "median": float(np.median(values)),
+        "rms": float(np.sqrt(np.mean(np.square(values)))),
+        "p95": float(np.percentile(values, 95)),
+    }
+
+
+def _timing(seconds: float, ms_per_frame: list[float], stages: dict[str, float]) -> dict[str, Any]:
+    values = np.array(ms_per_frame) if ms_per_frame else np.zeros(1)
+    spread = {"mean": float(values.mean()), "p50": float(np.median(values))}
+    spread |= {"p99": float(np.percentile(values, 99)), "p999": float(np.percentile(values, 99.9))}
+    return {"seconds": seconds, "ms_per_frame": spread, "stages": stages}
