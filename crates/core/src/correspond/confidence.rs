@@ -15,7 +15,7 @@ const NODE_LIMIT: usize = 150;
 /// Probability of each chosen group, in the order of `packing.chosen`.
 pub fn confidences(candidates: &Candidates, packing: &Packing, n_dots: usize) -> Vec<f64> {
     let price = |g: usize| candidates.dots(g).iter().map(|&z| packing.prices[z as usize]).sum::<f64>();
-    let losses: Vec<f64> = (0..candidates.len()).map(|g| (price(g) - candidates.weights[g]).max(0.0)).collect();
+    let losses: Vec<f64> = (0..candidates.len()).map(|g| price(g) - candidates.weights[g]).collect();
     let own_loss: f64 = packing.chosen.iter().map(|&g| losses[g]).sum();
     let mut holder = vec![None; n_dots];
     for &group in &packing.chosen {

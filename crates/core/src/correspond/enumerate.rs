@@ -189,11 +189,9 @@ impl Search<'_> {
         let Some(minimum) = pair.normal.minimum() else { return };
         self.members.clear();
         self.members.extend([0, 1]);
-        let Some((cost, minimum)) = self.cost(minimum) else { return };
-        if cost > self.scene.group_gates[2] {
-            return;
+        if minimum.rss <= self.scene.group_gates[2] {
+            self.emit(&pair, minimum.rss, &minimum);
         }
-        self.emit(&pair, cost, &minimum);
         self.gather(a, b, &pair.normal);
         if self.local.dots.len() > 2 {
             self.local.link(self.graph);

@@ -37,8 +37,8 @@ const SCALE_FRAMES: usize = 8;
 const SMALLEST_SCALE: f64 = 0.04;
 const LARGEST_SCALE: f64 = 16.0;
 const ROUNDS: usize = 5;
-/// Rounds before the departures from independent cameras are believed: until the volume is known, markers that only
-/// two cameras saw drown, and a rule learned without them would keep them out for good.
+/// Rounds before departures from independent cameras and fixed reflections are believed: until the volume is known,
+/// markers that only two cameras saw drown, and a rule learned without them would keep them out for good.
 const ROUNDS_INDEPENDENT: usize = 2;
 const SMALLEST_ANGLE_DEG: f64 = 5.0;
 
@@ -156,8 +156,10 @@ fn objective_of(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> (f64, f64) 
 
 /// What one pass over the sample collects.
 struct Evidence {
-    /// By camera: squared residual (dot's own sigma = 1, leverage removed) and the weight it carries.
+    /// By camera: half the squared residual (dot's own sigma = 1, leverage removed).
     residuals: Vec<Vec<f64>>,
+    /// By camera: sum of the residuals as vectors, in the same unit.
+    bias: Vec<Vector2<f64>>,
     points: Vec<Vector3<f64>>,
     groups: f64,
     /// Groups by the number of cameras that could see them and that did: `[could][did]`.
@@ -185,13 +187,15 @@ fn improved(rig: &Rig, model: &SceneModel, sample: &[&[Dot]], fit_noise: bool, r
         next.volume = volume;
     }
     for camera in 0..rig.cameras.len() {
-        next.reflections[camera] = reflections_of(&evidence.alone[camera], model.noise[camera], evidence.frames);
+        if round >= ROUNDS_INDEPENDENT {
+            next.reflections[camera] = reflections_of(&evidence.alone[camera], model.noise[camera], evidence.frames);
+        }
         let fixed: f64 = next.reflections[camera].iter().map(|r| r.rate).sum();
         let alone = evidence.alone[camera].len() as f64 / n;
         next.clutter[camera] = (alone - fixed - single_views_per_camera).max(0.02);
     }
     if fit_noise {
-        next.noise = noise_of(&evidence.residuals, &model.noise, model.tail);
+        next.noise = noise_of(&evidence.residuals, &evidence.bias, &model.noise, model.tail);
         if round + 1 < ROUNDS {
             next.tail = tail_of(&evidence.residuals, &next.noise);
         }
@@ -257,6 +261,7 @@ fn collect(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> Evidence {
     let cameras = rig.cameras.len();
     let mut evidence = Evidence {
         residuals: vec![Vec::new(); cameras],
+        bias: vec![Vector2::zeros(); cameras],
         points: Vec::new(),
         groups: 0.0,
         views: vec![vec![0.0; cameras + 1]; cameras + 1],
@@ -302,6 +307,7 @@ fn add_residuals(evidence: &mut Evidence, model: &SceneModel, sights: &[&Sight],
         if freedom > 0.1 {
             let scale = model.noise[sight.camera];
             evidence.residuals[sight.camera].push(0.5 * linear.error.norm_squared() * scale * scale / freedom);
+            evidence.bias[sight.camera] += linear.error * scale / freedom.sqrt();
         }
     }
 }
@@ -325,17 +331,21 @@ fn volume_of(points: &[Vector3<f64>], region: &Aabb) -> Option<Aabb> {
     Some(Aabb { low, high }.grown(margin).intersection(region))
 }
 
-/// Noise per camera: the robust core of the residuals, shrunk towards the rig's.
-fn noise_of(residuals: &[Vec<f64>], before: &[f64], tail: Option<Tail>) -> Vec<f64> {
+/// Noise per camera: the core of the residuals, shrunk towards the rig's. A residual that points the same way all the
+/// time is an error of calibration: it is no measure of a camera's noise, and weighting by it would let the cameras
+/// that happen to agree dictate the points. So the own variance counts only as far as it is not bias.
+fn noise_of(residuals: &[Vec<f64>], bias: &[Vector2<f64>], before: &[f64], tail: Option<Tail>) -> Vec<f64> {
     let all: Vec<f64> = residuals.iter().flatten().copied().collect();
     let Some(overall) = core_variance(&all, tail) else { return before.to_vec() };
     let prior = 30.0;
-    let shrunk = |own: &Vec<f64>| {
+    let shrunk = |(own, bias): (&Vec<f64>, &Vector2<f64>)| {
         let variance = core_variance(own, tail).unwrap_or(overall);
         let n = own.len() as f64;
-        ((n * variance + prior * overall) / (n + prior)).sqrt().max(1e-3)
+        let constant = (bias / n.max(1.0)).norm_squared() / (2.0 * own.iter().sum::<f64>() / n.max(1.0)).max(1e-12);
+        let trust = n / (n + prior) * (1.0 - constant).clamp(0.0, 1.0);
+        (trust * variance + (1.0 - trust) * overall).sqrt().max(1e-3)
     };
-    residuals.iter().map(shrunk).collect()
+    residuals.iter().zip(bias).map(shrunk).collect()
 }
 
 /// Variance per axis of two-dimensional residuals (given as half their squared length). Where there is a tail, from

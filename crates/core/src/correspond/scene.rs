@@ -255,11 +255,12 @@ fn pair_gate(tail: Option<Tail>) -> f64 {
     chi2::quantile(MISS_PROBABILITY, 1.0) * widening
 }
 
-/// The same for a group of n dots. A tail's dots cost more than a core's; a third of the views may be such.
+/// The same for a group of n dots. A tail's dots cost more than a core's. A third of the views may be such, but none
+/// of a pair: two rays have no majority that could tell which of them is off.
 fn group_gate(n: usize, tail: Option<Tail>) -> f64 {
     if n < 2 {
         return 0.0;
     }
     let extra = tail.map_or(0.0, |t| t.cost(1e9) - 1e9 / (t.scale * t.scale));
-    chi2::quantile(MISS_PROBABILITY, (2 * n - 3) as f64) + extra * (n as f64 / 3.0).ceil()
+    chi2::quantile(MISS_PROBABILITY, (2 * n - 3) as f64) + extra * (n / 3) as f64
 }

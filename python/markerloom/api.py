@@ -1,0 +1,66 @@
+"""The functions that users script with: every verb of the command line has its twin here, under the same name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from markerloom import formats
+from markerloom.evaluate import (
+    Truth,
+    evaluate,
+    truth_from_assignments,
+    truth_from_observations,
+    truth_without_views,
+)
+from markerloom.formats import read_observations, read_points, write_points
+from markerloom.formats.calib_toml import write as write_calibration
+from markerloom.inspect import inspect
+from markerloom.observations import Observations
+from markerloom.points import Points
+from markerloom.reconstruct import Reconstruction, reconstruct
+from markerloom.rig import Camera, Lens, Mask, Rig
+from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
+from markerloom.triangulate import Triangulated, triangulate, two_rays
+
+__all__ = [
+    "Camera",
+    "Lens",
+    "Mask",
+    "Observations",
+    "Points",
+    "Reconstruction",
+    "Rig",
+    "Scene",
+    "SimulatedTake",
+    "Triangulated",
+    "Truth",
+    "convert",
+    "evaluate",
+    "inspect",
+    "make_scene",
+    "read_calibration",
+    "read_observations",
+    "read_points",
+    "reconstruct",
+    "save",
+    "simulate",
+    "triangulate",
+    "truth_from_assignments",
+    "truth_from_observations",
+    "truth_without_views",
+    "two_rays",
+    "write_calibration",
+    "write_points",
+]
+
+
+def read_calibration(path: str | Path, *, units: str = "m") -> Rig:
+    """Read a rig from .xcp, Calib.toml, .qca.txt or .mcal; ``units`` of lengths in a Calib.toml."""
+    return formats.read_calibration(path, units=units)
+
+
+def convert(source: str | Path, target: str | Path, **options: object) -> None:
+    """Convert points, observations or calibrations between formats; see ``markerloom convert --help``."""
+    from markerloom.convert import convert as run
+
+    run(source, target, **options)  # pyright: ignore[reportArgumentType]

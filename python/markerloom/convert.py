@@ -1,0 +1,59 @@
+"""Files from one format to another. C3D to C3D keeps everything that is not asked to change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from markerloom import formats
+from markerloom.errors import InputError
+from markerloom.formats import c3d_file
+from markerloom.points import Points
+
+
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    rate_hz: float | None = None,
+    up: str | None = None,
+    calibration_units: str = "m",
+) -> None:
+    """Convert points, observations or a calibration, by the endings of the two files.
+
+    ``up='y'`` turns points from Z up to Y up: (x, y, z) → (x, z, −y). ``rate_hz`` states or replaces the frame rate.
+    """
+    if up not in (None, "y", "z"):
+        raise InputError(f"up '{up}': y or z")
+    kind, wanted = formats.ending(source), formats.ending(target)
+    if kind in formats.CALIBRATIONS:
+        formats.write_calibration(formats.read_calibration(source, units=calibration_units), target)
+    elif kind == wanted == ".c3d" and rate_hz is None and up is None:
+        c3d_file.write_file(c3d_file.read_file(source), target)
+    elif kind == ".x2d" or (kind in formats.TABLE_ENDINGS and _is_observations(source)):
+        observations = formats.read_observations(source)
+        rate = rate_hz if rate_hz is not None else observations.rate_hz
+        formats.write_observations(replace(observations, rate_hz=rate), target)
+    else:
+        formats.write_points(_changed(formats.read_points(source), rate_hz, up), target)
+
+
+def _is_observations(path: str | Path) -> bool:
+    from markerloom.formats import motive_csv, observation_table, table_file
+    from markerloom.formats.files import read_text
+
+    if formats.ending(path) == ".csv" and motive_csv.is_motive(read_text(path)[:100]):
+        return False
+    table = table_file.read(path)
+    return observation_table.is_observations(table) or observation_table.is_tracker_dump(table)
+
+
+def _changed(points: Points, rate_hz: float | None, up: str | None) -> Points:
+    if rate_hz is not None:
+        points = replace(points, rate_hz=rate_hz)
+    if up == "y" and points.up_axis == "z":
+        x, y, z = points.xyz_mm.T
+        points = replace(points, xyz_mm=np.column_stack([x, z, -y]), up_axis="y")
+    return points

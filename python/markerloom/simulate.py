@@ -1,0 +1,246 @@
+"""Simulated takes with truth: a scene, a seed, and everything the cameras would see.
+
+Scenes: ``exp61`` (the seed paper's experiment 6.1), ``cloud`` (random points in a larger volume), ``walk`` and
+``dance`` (an articulated figure whose trunk and limbs hide markers).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import tomlkit
+
+from markerloom import _core
+from markerloom.errors import InputError, RigError
+from markerloom.formats import calib_toml, table_file, write_observations
+from markerloom.formats.files import write_text
+from markerloom.observations import Observations
+from markerloom.points import Points
+from markerloom.reconstruct import Progress
+from markerloom.rig import Camera, Rig
+
+EXP61_BOX_M = (0.497843, 0.788865, 0.748485)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that decides about a simulated take. Units stand in the names."""
+
+    scene: str = "exp61"
+    seed: int = 0
+    frames: int = 100
+    markers: int = 33
+    rate_hz: float = 100.0
+    cameras: int = 4
+    shape: str = "ring"
+    distance_m: float = 2.0
+    elevation_deg: float = 30.0
+    angle_deg: float = 45.0
+    image_width: int = 640
+    image_height: int = 480
+    focal_px: float = 757.0
+    sigma_px: float = 2.0
+    hide: str = "one"
+    merge_px: float = 0.0
+    clutter_per_frame: float = 0.0
+    reflections: int = 0
+    box_x_m: float = EXP61_BOX_M[0]
+    box_y_m: float = EXP61_BOX_M[1]
+    box_z_m: float = EXP61_BOX_M[2]
+
+    @property
+    def center_m(self) -> tuple[float, float, float]:
+        """What the cameras look at: figures stand on the floor, clouds float at the origin."""
+        return (0.0, 0.0, 1.0) if self.scene in ("walk", "dance") else (0.0, 0.0, 0.0)
+
+
+FIGURE = {
+    "markers": 41,
+    "cameras": 8,
+    "distance_m": 4.5,
+    "elevation_deg": 20.0,
+    "image_width": 1280,
+    "image_height": 1024,
+    "focal_px": 1300.0,
+    "sigma_px": 0.2,
+    "hide": "0.02",
+    "merge_px": 3.0,
+    "clutter_per_frame": 0.3,
+    "reflections": 1,
+}
+PRESETS: dict[str, dict[str, object]] = {
+    "exp61": {},
+    "cloud": {"cameras": 8, "sigma_px": 0.3, "hide": "quarter"},
+    "walk": FIGURE,
+    "dance": FIGURE,
+}
+
+
+@dataclass(frozen=True)
+class SimulatedTake:
+    """A take with its truth: points with labels, and the labels of every observation."""
+
+    scene: Scene
+    rig: Rig
+    observations: Observations
+    truth: Points
+    truth_assignments: pa.Table
+
+
+def make_scene(name: str, **changes: object) -> Scene:
+    """A preset with changes; values of ``None`` are not changes."""
+    if name not in PRESETS:
+        raise InputError(f"scene '{name}': choose one of {', '.join(PRESETS)}")
+    known = {f.name for f in fields(Scene)}
+    given = {k: v for k, v in changes.items() if v is not None}
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise InputError(f"a scene has no '{unknown[0]}'; it has {', '.join(sorted(known))}")
+    scene = replace(Scene(scene=name), **{**PRESETS[name], **given})  # pyright: ignore[reportArgumentType]
+    for field_name in ("frames", "markers", "cameras", "image_width", "image_height", "focal_px", "rate_hz", "distance_m"):
+        if not getattr(scene, field_name) > 0:
+            raise InputError(f"{field_name} must be positive, not {getattr(scene, field_name)}")
+    for field_name in ("sigma_px", "merge_px", "clutter_per_frame", "reflections", "seed"):
+        if not 0 <= getattr(scene, field_name) < 1e9:
+            raise InputError(f"{field_name} must not be negative or huge, but is {getattr(scene, field_name)}")
+    return scene
+
+
+def make_rig(scene: Scene) -> Rig:
+    """The rig of a scene."""
+    try:
+        described = _core.rig(
+            scene.shape,
+            scene.cameras,
+            scene.distance_m,
+            scene.elevation_deg,
+            scene.angle_deg,
+            (scene.image_width, scene.image_height),
+            scene.focal_px,
+            scene.center_m,
+        )
+    except RigError as error:
+        raise InputError(str(error)) from None
+    cameras = [
+        Camera(
+            id=f"cam_{int(d['id']):02d}",
+            size_px=tuple(d["size_px"]),
+            focal_px=tuple(d["focal_px"]),
+            principal_px=tuple(d["principal_px"]),
+            rotation=np.array(d["rotation"]),
+            position_m=np.array(d["position_m"]),
+        )
+        for d in described
+    ]
+    return Rig.of(cameras, source="simulated")
+
+
+def simulate(scene: Scene, *, progress: Progress | None = None) -> SimulatedTake:
+    """Simulate a take; the same scene gives the same take on every machine."""
+    rig = make_rig(scene)
+    labels = _labels(scene)
+    rows: list[tuple[int, int, float, float]] = []
+    holders: list[tuple[int, str, int, str]] = []
+    positions = np.zeros((scene.frames, len(labels), 3))
+    for frame in range(scene.frames):
+        markers, capsules = _markers(scene, frame)
+        positions[frame] = markers
+        _see(scene, rig, frame, markers, capsules, labels, rows, holders)
+        if progress:
+            progress(frame + 1, scene.frames)
+    table = np.array(rows, float).reshape(-1, 4)
+    observations = Observations(
+        frame=table[:, 0].astype(np.int64),
+        camera=table[:, 1].astype(np.int64),
+        camera_ids=tuple(rig.ids),
+        pixel=table[:, 2:].copy(),
+        rate_hz=scene.rate_hz,
+        frames=np.arange(scene.frames),
+        source=f"simulated {scene.scene}",
+    )
+    frame_of, marker_of = np.divmod(np.arange(scene.frames * len(labels)), len(labels))
+    truth = Points.of(
+        frame_of,
+        marker_of,
+        1000.0 * positions.reshape(-1, 3),
+        label=np.array(labels, dtype=str)[marker_of],
+        rate_hz=scene.rate_hz,
+        frames=np.arange(scene.frames),
+        source=f"simulated {scene.scene}",
+    )
+    columns = list(zip(*holders, strict=True)) or [[], [], [], []]
+    names = ("frame", "camera", "observation", "label")
+    return SimulatedTake(scene, rig, observations, truth, pa.table(dict(zip(names, map(list, columns), strict=True))))
+
+
+def _labels(scene: Scene) -> list[str]:
+    if scene.scene in ("walk", "dance"):
+        return _core.body_labels(scene.scene, scene.markers, scene.seed)
+    return [f"M{i + 1:03d}" for i in range(scene.markers)]
+
+
+def _markers(scene: Scene, frame: int) -> tuple[np.ndarray, list[tuple[list[float], list[float], float]]]:
+    if scene.scene in ("walk", "dance"):
+        time_s = frame / scene.rate_hz
+        return _core.body_pose(scene.scene, scene.markers, scene.seed, (0.0, 0.0, 0.0), time_s)
+    box = (scene.box_x_m, scene.box_y_m, scene.box_z_m)
+    return _core.cloud(scene.seed, frame, scene.markers, box, scene.center_m), []
+
+
+def _see(
+    scene: Scene,
+    rig: Rig,
+    frame: int,
+    markers: np.ndarray,
+    capsules: list[tuple[list[float], list[float], float]],
+    labels: list[str],
+    rows: list[tuple[int, int, float, float]],
+    holders: list[tuple[int, str, int, str]],
+) -> None:
+    """Append the dots of one frame, and whose they are."""
+    try:
+        dots = _core.observe(
+            rig.core,
+            markers,
+            capsules,
+            scene.sigma_px,
+            scene.hide,
+            scene.merge_px,
+            scene.clutter_per_frame,
+            scene.reflections,
+            scene.seed,
+            frame,
+        )
+    except RigError as error:
+        raise InputError(str(error)) from None
+    count = [0] * len(rig)
+    for camera, x, y, whose in dots:
+        rows.append((frame, camera, x, y))
+        holders += [(frame, rig.cameras[camera].id, count[camera], labels[m]) for m in whose]
+        count[camera] += 1
+
+
+def save(take: SimulatedTake, folder: str | Path) -> None:
+    """Write calibration.toml, observations.parquet, truth.parquet, truth_assignments.parquet and scene.toml."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder {folder} cannot be made: {error.strerror}") from None
+    calib_toml.write(take.rig, folder / "calibration.toml")
+    write_observations(take.observations, folder / "observations.parquet")
+    truth = take.truth
+    table = pa.table(
+        {
+            "frame": truth.frame,
+            "label": truth.label.astype(str),
+            **{f"{axis}_mm": truth.xyz_mm[:, i] for i, axis in enumerate("xyz")},
+        }
+    )
+    metadata = {"rate_hz": repr(take.scene.rate_hz), "units": "mm", "up_axis": "z"}
+    table_file.write(table.replace_schema_metadata(metadata), folder / "truth.parquet")
+    table_file.write(take.truth_assignments, folder / "truth_assignments.parquet")
+    write_text(folder / "scene.toml", tomlkit.dumps(asdict(take.scene)))
