@@ -10,7 +10,7 @@ use super::packing::{Packing, by_dot};
 
 /// Explanations less likely than this (nats below the best) do not count.
 const HORIZON: f64 = 7.0;
-const NODE_LIMIT: usize = 150;
+const NODE_LIMIT: usize = 300;
 
 /// Probability of each chosen group, in the order of `packing.chosen`.
 pub fn confidences(candidates: &Candidates, packing: &Packing, n_dots: usize) -> Vec<f64> {
@@ -22,7 +22,8 @@ pub fn confidences(candidates: &Candidates, packing: &Packing, n_dots: usize) ->
         candidates.dots(group).iter().for_each(|&z| holder[z as usize] = Some(group as u32));
     }
     let uncovered: f64 = (0..n_dots).filter(|&z| holder[z].is_none()).map(|z| packing.prices[z]).sum();
-    let horizon = HORIZON + own_loss + uncovered;
+    // Where prices are not exact, part of a loss is won back later.
+    let horizon = HORIZON + (own_loss + uncovered).max(0.0);
     let mut groups_of = by_dot(candidates, n_dots, (0..candidates.len() as u32).filter(|&g| losses[g as usize] < horizon));
     for groups in &mut groups_of {
         groups.sort_unstable_by(|&a, &b| losses[a as usize].total_cmp(&losses[b as usize]).then(a.cmp(&b)));
@@ -101,6 +102,9 @@ impl<'a> Alternatives<'a> {
             self.odds += (-loss).exp();
             return;
         };
+        self.state[dot as usize] = State::Decided;
+        self.descend(loss + self.prices[dot as usize]);
+        self.state[dot as usize] = State::Pending;
         for i in 0..self.groups_of[dot as usize].len() {
             let group = self.groups_of[dot as usize][i];
             if loss + self.losses[group as usize] > self.horizon {
@@ -108,9 +112,6 @@ impl<'a> Alternatives<'a> {
             }
             self.try_group(group, loss);
         }
-        self.state[dot as usize] = State::Decided;
-        self.descend(loss + self.prices[dot as usize]);
-        self.state[dot as usize] = State::Pending;
     }
 
     fn try_group(&mut self, group: u32, loss: f64) {

@@ -9,15 +9,22 @@
 //! with `g_z = −ln 2πσ_z² − ln s_z` (see `frame.rs`; `ln P` in `scene.rs`). Every group grows from its two earliest dots
 //! by adding dots of later cameras, so each is met once; the residuals are linearised once at the pair's point (and
 //! again at the triple's when it moved far), after which a step of the search is a sum and a 3×3 solution.
+//!
+//! A marker that n cameras see has 2ⁿ subsets. Groups of more than [`FULL_VIEWS`] views are grown first (`solid.rs`),
+//! and of their subsets only the largest are listed; a frame with such groups is not certified.
 
 use super::frame::PreparedFrame;
 use super::pairs::PairGraph;
 use super::scene::{Scene, Tail};
+use super::solid::{self, Solid};
 use crate::sight::{Linear, Minimum, Normal};
 use nalgebra::Vector3;
 
 /// Relinearise when the second-order error of the residual could exceed this (standard deviations).
 const LINEAR_LIMIT: f64 = 0.1;
+
+/// Up to this many views that fit together, all their subsets are listed.
+pub const FULL_VIEWS: usize = 8;
 
 /// Limits of the enumeration.
 #[derive(Clone, Copy, Debug)]
@@ -46,8 +53,10 @@ pub struct Candidates {
     pub members: Vec<u32>,
     /// Search steps taken.
     pub steps: usize,
-    /// Whether nothing was cut off by the limit.
+    /// Whether all groups are listed.
     pub complete: bool,
+    /// Whether the search stopped at a limit.
+    pub truncated: bool,
 }
 
 impl Candidates {
@@ -92,10 +101,19 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
         ridge: 12.0 / model.region.diagonal().powi(2),
         constant: model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln(),
     };
+    let solids = if scene.rig.cameras.len() > FULL_VIEWS { solid::grow(scene, frame, graph) } else { Vec::new() };
+    let mut in_solid = vec![false; frame.len()];
+    for group in &solids {
+        group.dots.iter().for_each(|&z| in_solid[z as usize] = true);
+        search.around_solid(group);
+    }
     for a in 0..frame.len() as u32 {
         for edge in &graph.later[a as usize] {
+            if !solids.is_empty() && search.belongs_to_solids(&in_solid, a, edge.to) {
+                continue;
+            }
             search.from_pair(a, edge.to, edge.point);
-            if !search.found.complete {
+            if search.found.truncated {
                 return search.found;
             }
         }
@@ -200,6 +218,58 @@ impl Search<'_> {
         }
     }
 
+    /// Whether a pair needs no look of its own: both dots are in grown groups, or so many views fit it that it belongs
+    /// to one.
+    fn belongs_to_solids(&self, in_solid: &[bool], a: u32, b: u32) -> bool {
+        if in_solid[a as usize] && in_solid[b as usize] {
+            return true;
+        }
+        if !in_solid[a as usize] && !in_solid[b as usize] {
+            return false;
+        }
+        let views = self.graph.common(a, b).fold(0u128, |seen, z| seen | 1 << self.frame.sights[z as usize].camera);
+        views.count_ones() as usize + 2 > FULL_VIEWS
+    }
+
+    /// Lists a grown group with its alternatives: any fitting dot in each camera, at most [`solid::OMISSIONS`] cameras
+    /// left out.
+    fn around_solid(&mut self, group: &Solid) {
+        self.found.complete = false;
+        self.local.clear(group.point);
+        for &dot in group.fitting.iter().take(Local::CAPACITY) {
+            self.local.push(self.frame, dot);
+        }
+        self.members.clear();
+        let start = Sums { normal: Normal::default().with_ridge(self.ridge), gain: 0.0, cameras: 0 };
+        self.choose_or_omit(&start, 0, solid::OMISSIONS);
+    }
+
+    /// Decides about the camera of local dot `next`: one of its dots, or none.
+    fn choose_or_omit(&mut self, sums: &Sums, next: usize, spare: usize) {
+        let camera_of = |s: &Self, i: usize| s.frame.sights[s.local.dots[i] as usize].camera;
+        if next == self.local.dots.len() {
+            if let Some(minimum) = sums.normal.minimum()
+                && let Some((cost, minimum)) = self.cost(minimum)
+                && cost <= self.scene.group_gates[self.members.len()]
+            {
+                self.emit(sums, cost, &minimum);
+            }
+            return;
+        }
+        let camera = camera_of(self, next);
+        let end = (next..self.local.dots.len()).find(|&i| camera_of(self, i) != camera).unwrap_or(self.local.dots.len());
+        for i in next..end {
+            self.found.steps += 1;
+            let with = self.plus(sums, i);
+            self.members.push(i as u8);
+            self.choose_or_omit(&with, end, spare);
+            self.members.pop();
+        }
+        if spare > 0 {
+            self.choose_or_omit(sums, end, spare - 1);
+        }
+    }
+
     /// Adds to the local dots all dots of later cameras that match both of a pair, near enough to its point.
     fn gather(&mut self, a: u32, b: u32, pair: &Normal) {
         let frame = self.frame;
@@ -216,7 +286,7 @@ impl Search<'_> {
                     (i, j) = (i + 1, j + 1);
                     self.found.steps += 1;
                     if self.local.dots.len() == Local::CAPACITY {
-                        self.found.complete = false;
+                        (self.found.complete, self.found.truncated) = (false, true);
                         return;
                     }
                     if frame.sights[dot as usize].depth(&self.local.at) <= 1e-6 {
@@ -256,7 +326,7 @@ impl Search<'_> {
             rest &= rest - 1;
             self.found.steps += 1;
             if self.found.steps > self.options.step_limit {
-                self.found.complete = false;
+                (self.found.complete, self.found.truncated) = (false, true);
                 return;
             }
             let with = self.plus(sums, next);

@@ -33,7 +33,10 @@ impl Default for EstimateOptions {
     }
 }
 
+/// Dots at most in the sample: crowded frames say as much as many sparse ones.
+const SAMPLE_DOTS: usize = 40_000;
 const SCALE_FRAMES: usize = 8;
+const SCALE_DOTS: usize = 4_000;
 const SMALLEST_SCALE: f64 = 0.04;
 const LARGEST_SCALE: f64 = 16.0;
 const ROUNDS: usize = 5;
@@ -72,12 +75,12 @@ pub fn visible_region(rig: &Rig) -> Option<Aabb> {
 /// Estimates the prior of a take from a sample of its frames.
 pub fn estimate(rig: &Rig, frames: &[&[Dot]], options: &EstimateOptions) -> Option<SceneModel> {
     let region = visible_region(rig)?;
-    let sample = spread(frames, options.frames);
+    let sample = spread(frames, options.frames, SAMPLE_DOTS);
     let mut model = first_guess(rig, region, &sample);
     if let Some(noise) = options.noise {
         model.noise.fill(noise);
     } else {
-        let scale = best_scale(rig, &model, &spread(&sample, SCALE_FRAMES));
+        let scale = best_scale(rig, &model, &spread(&sample, SCALE_FRAMES, SCALE_DOTS));
         model.noise.fill(scale);
     }
     for round in 0..ROUNDS {
@@ -88,10 +91,11 @@ pub fn estimate(rig: &Rig, frames: &[&[Dot]], options: &EstimateOptions) -> Opti
     Some(model)
 }
 
-/// At most `n` of the frames, evenly spread, those without dots left out.
-fn spread<'a>(frames: &[&'a [Dot]], n: usize) -> Vec<&'a [Dot]> {
+/// At most `n` of the frames and about `dots` dots, evenly spread; frames without dots are left out.
+fn spread<'a>(frames: &[&'a [Dot]], n: usize, dots: usize) -> Vec<&'a [Dot]> {
     let filled: Vec<&[Dot]> = frames.iter().copied().filter(|f| !f.is_empty()).collect();
-    let m = filled.len().min(n);
+    let mean = filled.iter().map(|f| f.len()).sum::<usize>() / filled.len().max(1);
+    let m = filled.len().min(n).min((dots / mean.max(1)).max(2));
     (0..m).map(|i| filled[(2 * i + 1) * filled.len() / (2 * m)]).collect()
 }
 
@@ -126,13 +130,14 @@ fn search_options() -> OptimalOptions {
 fn best_scale(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> f64 {
     let mut best = (0.0, 1.0);
     let mut scale = SMALLEST_SCALE;
-    let (mut worse, mut convincing) = (0, false);
-    while scale <= LARGEST_SCALE && !(convincing && worse >= 3) {
+    let (mut worse, mut share) = (0, 0.0);
+    // Where nearly everything is explained the top is behind; where half is, it may have a dip.
+    while scale <= LARGEST_SCALE && !(share > 0.8 && worse >= 1 || share > 0.5 && worse >= 3) {
         let trial = SceneModel { noise: vec![scale; rig.cameras.len()], ..model.clone() };
         let (objective, explained) = objective_of(rig, &trial, sample);
         if objective > best.0 {
             best = (objective, scale);
-            (worse, convincing) = (0, explained > 0.5);
+            (worse, share) = (0, explained);
         } else {
             worse += 1;
         }

@@ -16,6 +16,7 @@ pub mod packing;
 pub mod pairs;
 pub mod relaxation;
 pub mod scene;
+pub mod solid;
 
 use crate::triangulate::{Triangulated, TriangulateOptions, refine, widest_angle_deg};
 use frame::PreparedFrame;

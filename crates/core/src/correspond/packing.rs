@@ -14,9 +14,9 @@ use super::enumerate::Candidates;
 const TOLERANCE: f64 = 1e-9;
 const SUBGRADIENT_STEPS: usize = 300;
 /// Passes over all groups between which the prices move.
-const ROUNDS: usize = 5;
+const ROUNDS: usize = 8;
 /// Groups whose reduced weight is above minus this (nats) move the prices.
-const NEAR: f64 = 4.0;
+const NEAR: f64 = 1.0;
 
 /// A packing with its certificate.
 #[derive(Clone, Debug, Default)]

@@ -31,12 +31,14 @@ pub struct Edge {
 pub struct PairGraph {
     /// Matches of each dot with dots of later cameras.
     pub later: Vec<Vec<Edge>>,
+    /// All dots that each dot matches, in ascending order.
+    pub neighbours: Vec<Vec<u32>>,
 }
 
 impl PairGraph {
     /// Finds all pairs whose residual is within the scene's gate.
     pub fn new(scene: &Scene, frame: &PreparedFrame) -> Self {
-        let mut graph = Self { later: vec![Vec::new(); frame.len()] };
+        let mut graph = Self { later: vec![Vec::new(); frame.len()], neighbours: vec![Vec::new(); frame.len()] };
         let gate = scene.pair_gate;
         let reach = gate.sqrt();
         let cameras = scene.rig.cameras.len();
@@ -61,12 +63,31 @@ impl PairGraph {
         for edges in &mut graph.later {
             edges.sort_unstable_by_key(|e| e.to);
         }
+        // Earlier dots come first because they are visited in order.
+        for (a, edges) in graph.later.iter().enumerate() {
+            edges.iter().for_each(|e| graph.neighbours[e.to as usize].push(a as u32));
+        }
+        for (a, edges) in graph.later.iter().enumerate() {
+            graph.neighbours[a].extend(edges.iter().map(|e| e.to));
+        }
         graph
     }
 
     /// Whether two dots match; `a` must be the earlier one.
     pub fn linked(&self, a: u32, b: u32) -> bool {
         self.later[a as usize].binary_search_by_key(&b, |e| e.to).is_ok()
+    }
+
+    /// Dots that match both of two dots, in ascending order.
+    pub fn common<'a>(&'a self, a: u32, b: u32) -> impl Iterator<Item = u32> + 'a {
+        let (of_a, of_b) = (&self.neighbours[a as usize], &self.neighbours[b as usize]);
+        let mut at = 0;
+        of_a.iter().copied().filter(move |&z| {
+            while at < of_b.len() && of_b[at] < z {
+                at += 1;
+            }
+            of_b.get(at) == Some(&z)
+        })
     }
 
     /// Number of pairs.
