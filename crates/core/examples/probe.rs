@@ -36,6 +36,7 @@ fn main() {
             if out[f].groups.iter().any(|g| { let mut d = g.dots.clone(); d.sort(); d == own }) { set += 1; }
             let best = (0..used.len()).filter(|&g| !used[g]).min_by(|&x, &y| (out[f].groups[x].point - truth[f][m]).norm().total_cmp(&(out[f].groups[y].point - truth[f][m]).norm()));
             if let Some(g) = best { let e = (out[f].groups[g].point - truth[f][m]).norm(); if e < if sigma > 1.0 {0.03} else {0.005} { used[g] = true; hit += 1; sr += e*e/out[f].groups[g].covariance.trace(); srn += 1; } } }
+        for (gi, g) in out[f].groups.iter().enumerate() { if !used[gi] { println!("ghost f{f} n {} dots {:?} near {:.4}", g.dots.len(), g.dots.iter().map(|&d| takes[f][d].markers.clone()).collect::<Vec<_>>(), truth[f].iter().map(|m| (m - g.point).norm()).fold(9.0, f64::min)); } }
         ghosts += used.iter().filter(|u| !**u).count();
         conf_sum += out[f].groups.iter().map(|g| g.confidence).sum::<f64>();
     }

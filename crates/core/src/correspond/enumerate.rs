@@ -26,6 +26,9 @@ const LINEAR_LIMIT: f64 = 0.1;
 /// Up to this many views that fit together, all their subsets are listed.
 pub const FULL_VIEWS: usize = 8;
 
+/// Search steps at most around one grown group.
+const SOLID_STEPS: usize = 20_000;
+
 /// Limits of the enumeration.
 #[derive(Clone, Copy, Debug)]
 pub struct EnumerateOptions {
@@ -100,6 +103,7 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
         members: Vec::with_capacity(Local::CAPACITY),
         ridge: 12.0 / model.region.diagonal().powi(2),
         constant: model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln(),
+        solid_step_limit: 0,
     };
     let solids = if scene.rig.cameras.len() > FULL_VIEWS { solid::grow(scene, frame, graph) } else { Vec::new() };
     let mut in_solid = vec![false; frame.len()];
@@ -187,6 +191,7 @@ struct Search<'a> {
     members: Vec<u8>,
     ridge: f64,
     constant: f64,
+    solid_step_limit: usize,
 }
 
 /// Running sums of a growing group.
@@ -231,21 +236,22 @@ impl Search<'_> {
         views.count_ones() as usize + 2 > FULL_VIEWS
     }
 
-    /// Lists a grown group with its alternatives: any fitting dot in each camera, at most [`solid::OMISSIONS`] cameras
-    /// left out.
+    /// Lists a grown group with its alternatives: any fitting dot in each camera; dots that are not certain may be left
+    /// out, of the group's own at most [`solid::OMISSIONS`].
     fn around_solid(&mut self, group: &Solid) {
         self.found.complete = false;
+        self.solid_step_limit = self.found.steps + SOLID_STEPS;
         self.local.clear(group.point);
         for &dot in group.fitting.iter().take(Local::CAPACITY) {
             self.local.push(self.frame, dot);
         }
         self.members.clear();
         let start = Sums { normal: Normal::default().with_ridge(self.ridge), gain: 0.0, cameras: 0 };
-        self.choose_or_omit(&start, 0, solid::OMISSIONS);
+        self.choose_or_omit(group, &start, 0, solid::OMISSIONS);
     }
 
     /// Decides about the camera of local dot `next`: one of its dots, or none.
-    fn choose_or_omit(&mut self, sums: &Sums, next: usize, spare: usize) {
+    fn choose_or_omit(&mut self, group: &Solid, sums: &Sums, next: usize, spare: usize) {
         let camera_of = |s: &Self, i: usize| s.frame.sights[s.local.dots[i] as usize].camera;
         if next == self.local.dots.len() {
             if let Some(minimum) = sums.normal.minimum()
@@ -260,13 +266,23 @@ impl Search<'_> {
         let end = (next..self.local.dots.len()).find(|&i| camera_of(self, i) != camera).unwrap_or(self.local.dots.len());
         for i in next..end {
             self.found.steps += 1;
+            if self.found.steps > self.solid_step_limit {
+                return;
+            }
             let with = self.plus(sums, i);
             self.members.push(i as u8);
-            self.choose_or_omit(&with, end, spare);
+            let gate = self.scene.group_gates[self.members.len()];
+            if with.normal.minimum().is_none_or(|m| m.rss <= gate) || self.members.len() < 2 {
+                self.choose_or_omit(group, &with, end, spare);
+            }
             self.members.pop();
         }
-        if spare > 0 {
-            self.choose_or_omit(sums, end, spare - 1);
+        if group.certain[next..end].contains(&true) {
+            return;
+        }
+        let own = group.fitting[next..end].iter().any(|z| group.dots.binary_search(z).is_ok());
+        if let Some(left) = spare.checked_sub(usize::from(own)) {
+            self.choose_or_omit(group, sums, end, left);
         }
     }
 

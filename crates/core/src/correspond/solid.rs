@@ -2,17 +2,20 @@
 //!
 //! From the pair that most cameras support, the dot that raises the residual least is added while the group stays within
 //! its gate. With more than [`FULL_VIEWS`] views such a group is beyond doubt as a whole; which of its dots truly belong
-//! to it is left to the packing, which sees the group with its alternatives and with a few dots left out.
+//! to it is left to the packing, which sees the group with its alternatives and without those of its dots that others may claim.
 
 use super::enumerate::FULL_VIEWS;
 use super::frame::PreparedFrame;
 use super::pairs::PairGraph;
 use super::scene::Scene;
-use crate::sight::{Minimum, Normal};
+use crate::sight::{Minimum, Normal, Sight};
+use crate::triangulate::refine;
 use nalgebra::Vector3;
 
-/// Views of a grown group that may be left out when its subsets are listed.
-pub const OMISSIONS: usize = 2;
+/// Contested views of a grown group that may be left out when its subsets are listed.
+pub const OMISSIONS: usize = 3;
+/// A view whose squared residual is above this may be somebody else's.
+const DOUBTFUL: f64 = 6.0;
 
 /// A grown group.
 pub struct Solid {
@@ -20,6 +23,8 @@ pub struct Solid {
     pub dots: Vec<u32>,
     /// All dots that fit its point, its own included, in ascending order.
     pub fitting: Vec<u32>,
+    /// Whether each fitting dot is certain: the group's own, fitting well, and fitting no other grown group.
+    pub certain: Vec<bool>,
     /// Its point (m, world).
     pub point: Vector3<f64>,
 }
@@ -39,7 +44,18 @@ pub fn grow(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph) -> Vec<Soli
             found.push(solid);
         }
     }
+    mark_certain(frame, &mut found);
     found
+}
+
+fn mark_certain(frame: &PreparedFrame, solids: &mut [Solid]) {
+    let mut fits = vec![0; frame.len()];
+    solids.iter().flat_map(|s| &s.fitting).for_each(|&z| fits[z as usize] += 1);
+    for solid in solids {
+        let good = |z: u32| frame.sights[z as usize].linearise(&solid.point).error.norm_squared() <= DOUBTFUL;
+        let certain = |&z: &u32| solid.dots.binary_search(&z).is_ok() && fits[z as usize] == 1 && good(z);
+        solid.certain = solid.fitting.iter().map(certain).collect();
+    }
 }
 
 /// The match of a dot that most other cameras support; `None` if too few support any.
@@ -84,10 +100,28 @@ fn grow_from(
     if dots.len() <= FULL_VIEWS {
         return None;
     }
-    dots.sort_unstable();
-    let fits = |z: &u32| frame.sights[*z as usize].linearise(&point).error.norm_squared() <= scene.group_gates[2];
-    let mut fitting: Vec<u32> = graph.common(pair[0], pair[1]).filter(fits).chain(dots.iter().copied()).collect();
-    fitting.sort_unstable();
-    fitting.dedup();
-    Some(Solid { dots, fitting, point })
+    gather(scene, frame, taken, dots, point)
+}
+
+/// Takes the best fitting dot of every camera at the point that a grown group gives: the pair it grew from may have
+/// missed some, or let foreign ones in while the point was uncertain.
+fn gather(scene: &Scene, frame: &PreparedFrame, taken: &[bool], mut dots: Vec<u32>, mut point: Vector3<f64>) -> Option<Solid> {
+    let gate = scene.group_gates[2];
+    let error2 = |z: u32, at: &Vector3<f64>| frame.sights[z as usize].linearise(at).error.norm_squared();
+    for _ in 0..2 {
+        let sights: Vec<&Sight> = dots.iter().map(|&z| &frame.sights[z as usize]).collect();
+        point = refine(&sights, point, |_| 1.0)?.0;
+        dots = (0..scene.rig.cameras.len())
+            .filter_map(|camera| {
+                let own = frame.camera_start[camera] as u32..frame.camera_start[camera + 1] as u32;
+                let free = own.filter(|&z| !taken[z as usize]).map(|z| (error2(z, &point), z));
+                free.min_by(|x, y| x.0.total_cmp(&y.0)).filter(|(e, _)| *e <= gate).map(|(_, z)| z)
+            })
+            .collect();
+    }
+    if dots.len() <= FULL_VIEWS {
+        return None;
+    }
+    let fitting = (0..frame.len() as u32).filter(|&z| error2(z, &point) <= gate).collect();
+    Some(Solid { dots, certain: Vec::new(), fitting, point })
 }
