@@ -71,6 +71,7 @@ def reconstruct(
     stages["correspond"] = sum(ms_per_frame) / 1000
     solved = _joined(parts)
     report = _report(solved, dots, rig, model.describe(), method, notes)
+    report["residual_px_by_camera"] = _residual_by_camera(solved, dots, rig)
     report["timing"] = _timing(time.perf_counter() - clock, ms_per_frame, stages)
     return _as_points(solved, dots, rig, observations, report)
 
@@ -171,6 +172,18 @@ def _report(
         "model": model,
         "trajectories": 0,
     }
+
+
+def _residual_by_camera(solved: dict[str, Any], dots: MatchedDots, rig: Rig) -> dict[str, float]:
+    """Root mean square distance of dots and reprojections by camera (px)."""
+    owner = np.repeat(np.arange(len(solved["frame"])), solved["sizes"])
+    camera, pixel = dots.camera[solved["dots"]], dots.pixel[solved["dots"]]
+    result = {}
+    for i, one in enumerate(rig.cameras):
+        rows = camera == i
+        error = rig.project(i, solved["point_m"][owner[rows]]) - pixel[rows]
+        result[one.id] = statistics(np.linalg.norm(error, axis=1))["rms"]
+    return result
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

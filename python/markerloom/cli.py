@@ -1,0 +1,344 @@
+"""The command line: verbs, progress bars, exit codes. 0 done, 1 failed, 2 wrong usage."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from markerloom import bench as benchmarks
+from markerloom import demo as demonstration
+from markerloom import formats
+from markerloom import report as reports
+from markerloom.convert import convert as run_convert
+from markerloom.errors import InputError, MarkerloomError
+from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
+from markerloom.evaluate import evaluate as run_evaluate
+from markerloom.formats import table_file
+from markerloom.inspect import inspect as run_inspect
+from markerloom.reconstruct import Progress
+from markerloom.reconstruct import reconstruct as run_reconstruct
+from markerloom.simulate import PRESETS, make_scene, save
+from markerloom.simulate import simulate as run_simulate
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+ReportFile = Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.", metavar="FILE.json")]
+Frames = Annotated[str | None, typer.Option("--frames", help="Only frames A to before B.", metavar="A:B")]
+Calibration = Annotated[Path, typer.Option("--calibration", help=".xcp, Calib.toml, .qca.txt or .mcal")]
+Units = Annotated[str, typer.Option("--calibration-units", help="Unit of lengths in a Calib.toml: m, cm or mm.")]
+
+
+def main() -> None:
+    """Run the command line; errors become one line and an exit code."""
+    try:
+        app()
+    except MarkerloomError as error:
+        err.print(f"markerloom: {error}", markup=False, soft_wrap=True)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        err.print("markerloom: stopped")
+        sys.exit(130)
+
+
+@contextmanager
+def progress_bar(title: str, quiet: bool) -> Iterator[Progress | None]:
+    """A bar on a terminal; nothing elsewhere."""
+    if quiet or not err.is_terminal:
+        yield None
+        return
+    with Bar(console=err, transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def frame_range(text: str | None) -> tuple[int | None, int | None] | None:
+    """``A:B`` as two numbers, either of which may be missing."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return (int(first) if first else None, int(last) if last else None)
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not A:B, such as 0:400 or 100:", param_hint="--frames") from None
+
+
+def say(quiet: bool, text: str) -> None:
+    """A line for the user."""
+    if not quiet:
+        out.print(text, markup=False, soft_wrap=True)
+
+
+def warn(quiet: bool, warnings: list[str]) -> None:
+    """Warnings, one a line, on standard error."""
+    for text in [] if quiet else warnings:
+        err.print(f"warning: {text}", markup=False, soft_wrap=True)
+
+
+def finish(report: Path | None, inputs: list[Path], options: dict[str, Any], result: dict[str, Any]) -> None:
+    """Write the report where one is wanted."""
+    if report is not None:
+        reports.save(reports.of_run(list(inputs), options, result), report)
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Option("-o", "--output", help="Where everything goes.")] = Path("out/demo"),
+    frames: Annotated[int, typer.Option(help="Frames to simulate.", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the simulation.", min=0)] = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a capture, reconstruct it with three methods, and write a report with pictures.
+
+    Example: markerloom demo -o out/demo
+    """
+    with progress_bar("demo", quiet) as progress:
+        made = demonstration.run(folder, frames=frames, seed=seed, progress=progress)
+    table = Table(*demonstration.HEADER)
+    for row in demonstration.summary(made.scores, made.answers):
+        table.add_row(*row)
+    if not quiet:
+        out.print(table)
+    for name, path in made.files.items():
+        say(quiet, f"{name:8} {path}")
+    say(quiet, f"Open {made.files['page']} in a browser.")
+
+
+@app.command()
+def simulate(
+    scene: Annotated[str, typer.Argument(help=f"One of {', '.join(PRESETS)}.")],
+    folder: Annotated[Path, typer.Option("-o", "--output", help="Folder for the take and its truth.")],
+    seed: Annotated[int | None, typer.Option(min=0)] = None,
+    frames: Annotated[int | None, typer.Option()] = None,
+    markers: Annotated[int | None, typer.Option()] = None,
+    cameras: Annotated[int | None, typer.Option()] = None,
+    sigma_px: Annotated[float | None, typer.Option(help="Noise of the dots (px per axis).")] = None,
+    hide: Annotated[str | None, typer.Option(help="Views withheld: none, one, quarter or a probability.")] = None,
+    shape: Annotated[str | None, typer.Option(help="Rig: ring, arc or wall.")] = None,
+    elevation_deg: Annotated[float | None, typer.Option()] = None,
+    angle_deg: Annotated[float | None, typer.Option(help="Ring: first azimuth; arc: span; wall: spacing.")] = None,
+    distance_m: Annotated[float | None, typer.Option()] = None,
+    focal_px: Annotated[float | None, typer.Option()] = None,
+    image_width: Annotated[int | None, typer.Option()] = None,
+    image_height: Annotated[int | None, typer.Option()] = None,
+    rate_hz: Annotated[float | None, typer.Option()] = None,
+    merge_px: Annotated[float | None, typer.Option(help="Dots nearer than this become one.")] = None,
+    clutter_per_frame: Annotated[float | None, typer.Option(help="False dots per camera and frame.")] = None,
+    reflections: Annotated[int | None, typer.Option(help="Fixed reflections per camera.")] = None,
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a take with its truth.
+
+    Example: markerloom simulate exp61 -o out/exp61 --hide one --seed 3 --frames 200
+    """
+    given = {k: v for k, v in locals().items() if k not in ("scene", "folder", "report", "quiet")}
+    made = make_scene(scene, **given)
+    with progress_bar("simulate", quiet) as progress:
+        take = run_simulate(made, progress=progress)
+    save(take, folder)
+    say(quiet, f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}")
+    finish(report, [], {"scene": scene, **given}, {"frames": made.frames})
+
+
+@app.command()
+def reconstruct(
+    observations: Annotated[Path, typer.Argument(help=".x2d, .parquet, .csv, .csv.gz or a Tracker dump")],
+    calibration: Calibration,
+    output: Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")],
+    method: Annotated[str, typer.Option(help="optimal, relaxation or epipolar")] = "optimal",
+    frames: Frames = None,
+    assignments: Annotated[Path | None, typer.Option(help="Write which dots made which point.")] = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the input has none.")] = None,
+    noise_px: Annotated[float | None, typer.Option(help="Noise of the dots, where it is known.")] = None,
+    threads: Annotated[int, typer.Option(help="0 = all cores; the result is the same.", min=0)] = 0,
+    calibration_units: Units = "m",
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Join the dots of each frame into 3D points: ghost-free, with uncertainty, without knowledge of time.
+
+    Example: markerloom reconstruct take.x2d --calibration take.xcp -o points.c3d --rate-hz 100
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    wanted = frame_range(frames)
+    if formats.ending(output) not in formats.POINTS_WRITTEN:
+        raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
+    take = formats.read_observations(observations)
+    rig = formats.read_calibration(calibration, units=calibration_units)
+    if rate_hz is not None:
+        take = _with_rate(take, rate_hz)
+    if formats.ending(output) in (".c3d", ".trc") and take.rate_hz is None:
+        raise InputError(f"a {formats.ending(output)} file needs the frame rate: state it with --rate-hz ({observations})")
+    with progress_bar("reconstruct", quiet) as progress:
+        points = run_reconstruct(
+            take, rig, method=method, frames=wanted, threads=threads, noise_px=noise_px, progress=progress
+        )
+    formats.write_points(points, output)
+    if assignments is not None:
+        table_file.write(points.assignments, assignments)
+    warn(quiet, points.report["warnings"])
+    summary = points.report
+    say(
+        quiet,
+        f"{summary['frames']} frames, {summary['points_per_frame']:.2f} points per frame, "
+        f"{summary['rays_mean']:.2f} rays per point, residual {summary['residual_px']['median']:.3f} px, "
+        f"{100 * summary['certified_frames']:.1f} % of frames certified → {output}",
+    )
+    finish(report, [observations, calibration], options, summary)
+
+
+def _with_rate(take: Any, rate_hz: float) -> Any:
+    from dataclasses import replace
+
+    if not 0 < rate_hz < 1e6:
+        raise typer.BadParameter(f"{rate_hz} Hz is no frame rate", param_hint="--rate-hz")
+    return replace(take, rate_hz=rate_hz)
+
+
+@app.command()
+def evaluate(
+    points: Annotated[Path, typer.Argument(help="Points to judge: .c3d, .trc, .parquet or .csv")],
+    truth: Annotated[Path, typer.Option("--truth", help="Points with labels: .parquet, .csv(.gz) or .c3d")],
+    tolerance_mm: Annotated[float, typer.Option(help="Largest distance of a hit.")] = 30.0,
+    frames: Frames = None,
+    align: Annotated[str | None, typer.Option(help="'rigid' removes a rigid difference of the worlds.")] = None,
+    assignments: Annotated[Path | None, typer.Option(help="Which dots made which point.")] = None,
+    truth_assignments: Annotated[Path | None, typer.Option(help="Whose each dot is.")] = None,
+    observations: Annotated[Path | None, typer.Option(help="For real data: the dots.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="For real data: the rig.")] = None,
+    calibration_units: Units = "m",
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare points with truth: found, missing, ghosts, error, honesty of the uncertainty.
+
+    Example: markerloom evaluate points.parquet --truth truth.parquet --truth-assignments truth_assignments.parquet
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    if observations is not None and (calibration is None or truth_assignments is not None):
+        raise typer.BadParameter("--observations goes with --calibration and without --truth-assignments")
+    judged = formats.read_points(points)
+    reference = _truth(truth, truth_assignments, observations, calibration, calibration_units)
+    result = run_evaluate(
+        judged,
+        reference,
+        tolerance_mm=tolerance_mm,
+        frames=frame_range(frames),
+        align=align,
+        assignments=None if assignments is None else table_file.read(assignments),
+    )
+    say(quiet, _scores(result))
+    inputs = [p for p in (points, truth, assignments, truth_assignments, observations, calibration) if p is not None]
+    finish(report, inputs, options, result)
+
+
+def _truth(truth: Path, assignments: Path | None, observations: Path | None, calibration: Path | None, units: str) -> Truth:
+    samples = formats.read_points(truth)
+    if assignments is not None:
+        beside = assignments.parent / "calibration.toml"
+        place = calibration or (beside if beside.is_file() else None)
+        rig = None if place is None else formats.read_calibration(place, units=units)
+        return truth_from_assignments(samples, table_file.read(assignments), rig)
+    if observations is not None and calibration is not None:
+        rig = formats.read_calibration(calibration, units=units)
+        return truth_from_observations(samples, formats.read_observations(observations), rig)
+    return truth_without_views(samples)
+
+
+def _scores(result: dict[str, Any]) -> str:
+    lines = [f"frames            {result['frames']} ({result['required_samples']} required samples)"]
+    lines.append(f"found (3D)        {100 * result['accuracy_3d']:.3f} % within {result['tolerance_mm']:g} mm")
+    if "accuracy_set" in result:
+        lines.append(f"exact sets        {100 * result['accuracy_set']:.3f} %")
+    lines.append(f"ghosts / frame    {result['ghosts_per_frame']:.4f}")
+    lines.append(f"missing / frame   {result['missing_per_frame']:.4f}")
+    error = result["error_mm"]
+    lines.append(f"error             median {error['median']:.3f}, rms {error['rms']:.3f}, 95 % {error['p95']:.3f} mm")
+    lines.append(f"(error/sigma)²    {result['sigma_ratio']:.3f} on average")
+    if "trajectories" in result:
+        lines.append(f"trajectories      {result['trajectories']}, {result['id_switches']} identity switches")
+    return "\n".join(lines)
+
+
+@app.command()
+def inspect(
+    file: Annotated[Path, typer.Argument(help="Any file that markerloom reads.")],
+    calibration_units: Units = "m",
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say what is in a file.
+
+    Example: markerloom inspect take.c3d
+    """
+    found = run_inspect(file, calibration_units=calibration_units)
+    for key, value in found.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            say(quiet, f"{key}:")
+            for row in value:
+                say(quiet, "  " + ", ".join(f"{k} {v}" for k, v in row.items()))
+        else:
+            say(quiet, f"{key}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)}")
+    finish(report, [file], {}, found)
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="File to read.")],
+    target: Annotated[Path, typer.Argument(help="File to write.")],
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="State or replace the frame rate.")] = None,
+    up: Annotated[str | None, typer.Option(help="Up axis of the target: y or z.")] = None,
+    calibration_units: Units = "m",
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Convert points, observations or a calibration. C3D to C3D keeps everything.
+
+    Example: markerloom convert take.c3d take.trc
+    """
+    run_convert(source, target, rate_hz=rate_hz, up=up, calibration_units=calibration_units)
+    say(quiet, f"{source} → {target}")
+    finish(report, [source], {"target": str(target), "rate_hz": rate_hz, "up": up}, {})
+
+
+@app.command()
+def bench(
+    scenes: Annotated[list[str] | None, typer.Argument(help="Rows to run; all without any.")] = None,
+    seeds: Annotated[int, typer.Option(help="Takes per row: seeds 0 to N − 1.", min=1)] = 20,
+    frames: Annotated[int, typer.Option(help="Frames per take.", min=1)] = 200,
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure the accuracy figures of docs/results.md.
+
+    Example: markerloom bench one quarter --seeds 20 --frames 200
+    """
+    rows = benchmarks.choose(scenes or [])
+    printed: list[dict[str, Any]] = []
+    say(quiet, benchmarks.HEADER)
+    for row in rows:
+        with progress_bar(row.name, quiet) as progress:
+            result = benchmarks.measure(row, seeds=seeds, frames=frames, progress=progress)
+        printed.append(result)
+        say(quiet, benchmarks.line(result))
+    finish(report, [], {"scenes": scenes, "seeds": seeds, "frames": frames}, {"rows": printed, "frames": seeds * frames})
+
+
+Command = Callable[..., None]
+
+if __name__ == "__main__":
+    main()
