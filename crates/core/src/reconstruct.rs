@@ -51,7 +51,11 @@ pub enum ReconstructError {
 }
 
 /// Estimates the prior of a take.
-pub fn estimate_model(rig: &Rig, frames: &[&[Dot]], options: &ReconstructOptions) -> Result<SceneModel, ReconstructError> {
+pub fn estimate_model(
+    rig: &Rig,
+    frames: &[&[Dot]],
+    options: &ReconstructOptions,
+) -> Result<SceneModel, ReconstructError> {
     let n = rig.cameras.len();
     if n < 2 {
         return Err(ReconstructError::TooFewCameras(n));
@@ -73,7 +77,12 @@ pub fn reconstruct_frame(scene: &Scene, dots: &[Dot], options: &ReconstructOptio
 }
 
 /// Solves all frames with a given prior.
-pub fn reconstruct(rig: &Rig, frames: &[&[Dot]], model: &SceneModel, options: &ReconstructOptions) -> Vec<Correspondence> {
+pub fn reconstruct(
+    rig: &Rig,
+    frames: &[&[Dot]],
+    model: &SceneModel,
+    options: &ReconstructOptions,
+) -> Vec<Correspondence> {
     let scene = Scene::new(rig, model);
     frames.par_iter().map(|dots| reconstruct_frame(&scene, dots, options)).collect()
 }

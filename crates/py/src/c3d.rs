@@ -6,6 +6,8 @@ use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, P
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList};
 
+type ResidualsAndMasks<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i32>>);
+
 /// A C3D file in memory.
 #[pyclass(name = "C3d")]
 pub struct PyC3d {
@@ -83,16 +85,18 @@ impl PyC3d {
     /// Coordinates in the file's unit (`n_frames`, `n_points`, 3), absent samples as stored.
     fn coordinates<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let factor = f64::from(self.inner.point_factor());
-        let values: Vec<f64> = self.inner.points.iter().flat_map(|p| [p[0], p[1], p[2]].map(|v| f64::from(v) * factor)).collect();
+        let values: Vec<f64> =
+            self.inner.points.iter().flat_map(|p| [p[0], p[1], p[2]].map(|v| f64::from(v) * factor)).collect();
         values.into_pyarray(py).reshape([self.inner.n_frames, self.inner.n_points, 3])
     }
 
     /// Residual (file's unit; negative = absent) and camera mask of each sample (`n_frames`, `n_points`).
-    fn residuals<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<i32>>)> {
+    fn residuals<'py>(&self, py: Python<'py>) -> PyResult<ResidualsAndMasks<'py>> {
         let scale = f64::from(self.inner.scale().abs());
         let shape = [self.inner.n_frames, self.inner.n_points];
         let words: Vec<i32> = self.inner.points.iter().map(|p| (p[3] as i32).clamp(-32_768, 32_767)).collect();
-        let residual: Vec<f64> = words.iter().map(|&w| if w < 0 { -1.0 } else { f64::from(w & 0xff) * scale }).collect();
+        let residual: Vec<f64> =
+            words.iter().map(|&w| if w < 0 { -1.0 } else { f64::from(w & 0xff) * scale }).collect();
         let mask: Vec<i32> = words.iter().map(|&w| if w < 0 { 0 } else { (w >> 8) & 0x7f }).collect();
         Ok((residual.into_pyarray(py).reshape(shape)?, mask.into_pyarray(py).reshape(shape)?))
     }
@@ -186,7 +190,11 @@ impl PyC3d {
     /// Sets a text.
     fn set_text(&mut self, group: &str, name: &str, text: &str) {
         let bytes: Vec<u8> = text.bytes().take(255).collect();
-        self.inner.set_parameter(group, name, Content { dimensions: vec![bytes.len() as u8], values: Values::Text(bytes) });
+        self.inner.set_parameter(
+            group,
+            name,
+            Content { dimensions: vec![bytes.len() as u8], values: Values::Text(bytes) },
+        );
     }
 
     /// Sets a scalar (no dimensions) or an array of 16-bit integers.
@@ -217,5 +225,9 @@ impl PyC3d {
 fn checked(dimensions: Option<Vec<u8>>, count: usize) -> PyResult<Vec<u8>> {
     let dimensions = dimensions.unwrap_or_default();
     let product: usize = dimensions.iter().map(|&d| usize::from(d)).product();
-    if product == count { Ok(dimensions) } else { Err(BytesError::new_err("dimensions do not fit the number of values")) }
+    if product == count {
+        Ok(dimensions)
+    } else {
+        Err(BytesError::new_err("dimensions do not fit the number of values"))
+    }
 }

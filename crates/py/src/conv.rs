@@ -76,7 +76,8 @@ impl DotArrays<'_> {
         }
         let mut dots = Vec::with_capacity(camera.len());
         for i in 0..camera.len() {
-            let index = usize::try_from(camera[i]).ok().filter(|c| *c < cameras).ok_or_else(|| wrong("no such camera"))?;
+            let index =
+                usize::try_from(camera[i]).ok().filter(|c| *c < cameras).ok_or_else(|| wrong("no such camera"))?;
             dots.push(Dot { camera: index, pixel: [pixel[(i, 0)], pixel[(i, 1)]], sigma: sigma[i] });
         }
         let mut ranges = Vec::with_capacity(starts.len());

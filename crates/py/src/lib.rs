@@ -1,5 +1,7 @@
 //! The extension module `markerloom._core`: converts Python values to the engine's types and back, nothing else.
 
+#![allow(clippy::needless_pass_by_value, reason = "what Python hands over is owned by the call")]
+
 mod c3d;
 mod conv;
 mod errors;

@@ -23,7 +23,8 @@ impl PyModel {
     /// The model's values, for reports.
     fn describe<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &self.inner;
-        let corners = |b: &markerloom_core::correspond::scene::Aabb| [<[f64; 3]>::from(b.low), <[f64; 3]>::from(b.high)];
+        let corners =
+            |b: &markerloom_core::correspond::scene::Aabb| [<[f64; 3]>::from(b.low), <[f64; 3]>::from(b.high)];
         let out = PyDict::new(py);
         out.set_item("noise", m.noise.clone())?;
         out.set_item("tail", m.tail.map(|t| (t.share, t.scale)))?;
@@ -77,7 +78,8 @@ pub fn reconstruct<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let (all, ranges) = dots.frames(rig.inner.cameras.len())?;
     let options = options(method, None)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| RigError::new_err(e.to_string()))?;
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|e| RigError::new_err(e.to_string()))?;
     let solved = py.detach(|| {
         let frames: Vec<&[Dot]> = ranges.iter().map(|r| &all[r.clone()]).collect();
         pool.install(|| engine::reconstruct(&rig.inner, &frames, &model.inner, &options))
@@ -85,7 +87,11 @@ pub fn reconstruct<'py>(
     arrays(py, &solved, &ranges)
 }
 
-fn arrays<'py>(py: Python<'py>, solved: &[Correspondence], ranges: &[std::ops::Range<usize>]) -> PyResult<Bound<'py, PyDict>> {
+fn arrays<'py>(
+    py: Python<'py>,
+    solved: &[Correspondence],
+    ranges: &[std::ops::Range<usize>],
+) -> PyResult<Bound<'py, PyDict>> {
     let (mut frame, mut point, mut covariance) = (Vec::new(), Vec::new(), Vec::new());
     let (mut confidence, mut residual_px, mut ray_distance_m) = (Vec::new(), Vec::new(), Vec::new());
     let (mut dot_starts, mut dots) = (vec![0i64], Vec::new());
@@ -121,7 +127,12 @@ fn arrays<'py>(py: Python<'py>, solved: &[Correspondence], ranges: &[std::ops::R
 
 /// All candidate groups of the first frame with their weights, and the optimum found: for checks by another solver.
 #[pyfunction]
-pub fn candidates<'py>(py: Python<'py>, rig: &PyRig, dots: DotArrays<'py>, model: &PyModel) -> PyResult<Bound<'py, PyDict>> {
+pub fn candidates<'py>(
+    py: Python<'py>,
+    rig: &PyRig,
+    dots: DotArrays<'py>,
+    model: &PyModel,
+) -> PyResult<Bound<'py, PyDict>> {
     let (all, ranges) = dots.frames(rig.inner.cameras.len())?;
     let frame = ranges.first().map_or(&all[..0], |r| &all[r.clone()]);
     let scene = Scene::new(&rig.inner, &model.inner);

@@ -23,7 +23,12 @@ impl PyRig {
     }
 
     /// Pixels (n, 2) of points (n, 3) in one camera; NaN where there is none.
-    fn project<'py>(&self, py: Python<'py>, camera: usize, points: PyReadonlyArray2<'py, f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        camera: usize,
+        points: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let camera = self.inner.cameras.get(camera).ok_or_else(|| RigError::new_err("no such camera"))?;
         let points = points.as_array();
         let mut out = Vec::with_capacity(2 * points.nrows());
@@ -35,7 +40,12 @@ impl PyRig {
     }
 
     /// Normalised image points (n, 2) of measured pixels (n, 2); NaN where the lens has folded over.
-    fn normalise<'py>(&self, py: Python<'py>, camera: usize, pixels: PyReadonlyArray2<'py, f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn normalise<'py>(
+        &self,
+        py: Python<'py>,
+        camera: usize,
+        pixels: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let camera = self.inner.cameras.get(camera).ok_or_else(|| RigError::new_err("no such camera"))?;
         let pixels = pixels.as_array();
         let mut out = Vec::with_capacity(2 * pixels.nrows());
@@ -47,7 +57,12 @@ impl PyRig {
     }
 
     /// Unit directions (n, 3) in world of measured pixels (n, 2); NaN where the lens has folded over.
-    fn rays<'py>(&self, py: Python<'py>, camera: usize, pixels: PyReadonlyArray2<'py, f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn rays<'py>(
+        &self,
+        py: Python<'py>,
+        camera: usize,
+        pixels: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let camera = self.inner.cameras.get(camera).ok_or_else(|| RigError::new_err("no such camera"))?;
         let pixels = pixels.as_array();
         let mut out = Vec::with_capacity(3 * pixels.nrows());
@@ -59,9 +74,15 @@ impl PyRig {
     }
 
     /// Which of the points (n, 3) one camera can see.
-    fn sees<'py>(&self, py: Python<'py>, camera: usize, points: PyReadonlyArray2<'py, f64>) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    fn sees<'py>(
+        &self,
+        py: Python<'py>,
+        camera: usize,
+        points: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
         let camera = self.inner.cameras.get(camera).ok_or_else(|| RigError::new_err("no such camera"))?;
-        let seen: Vec<bool> = points.as_array().rows().into_iter().map(|r| camera.sees(&Vector3::new(r[0], r[1], r[2]))).collect();
+        let seen: Vec<bool> =
+            points.as_array().rows().into_iter().map(|r| camera.sees(&Vector3::new(r[0], r[1], r[2]))).collect();
         Ok(seen.into_pyarray(py))
     }
 }

@@ -31,7 +31,8 @@ pub fn rig<'py>(
         "wall" => {
             let columns = (cameras as f64).sqrt().ceil() as usize;
             let rows = cameras.div_ceil(columns.max(1));
-            let mut wall = rigs::wall(columns, rows, distance_m, distance_m * angle_deg.to_radians(), size_px, focal_px);
+            let mut wall =
+                rigs::wall(columns, rows, distance_m, distance_m * angle_deg.to_radians(), size_px, focal_px);
             wall.cameras.truncate(cameras);
             wall
         }
@@ -57,7 +58,10 @@ fn described<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyDic
 /// Random markers of one frame.
 #[pyfunction]
 pub fn cloud(seed: u64, frame: usize, markers: usize, size_m: [f64; 3], center_m: [f64; 3]) -> Vec<[f64; 3]> {
-    engine_cloud(seed, frame, markers, &Vector3::from(size_m), &Vector3::from(center_m)).into_iter().map(Into::into).collect()
+    engine_cloud(seed, frame, markers, &Vector3::from(size_m), &Vector3::from(center_m))
+        .into_iter()
+        .map(Into::into)
+        .collect()
 }
 
 fn body(motion: &str, markers: usize, seed: u64, center_m: [f64; 3]) -> PyResult<Body> {
@@ -92,7 +96,6 @@ type Seen = (usize, f64, f64, Vec<usize>);
 #[pyfunction]
 #[pyo3(signature = (rig, markers, capsules, sigma_px, hide, merge_px, clutter_per_frame, reflections, seed, frame))]
 #[expect(clippy::too_many_arguments, reason = "each one is a keyword of the scene")]
-#[expect(clippy::needless_pass_by_value, reason = "what Python hands over is owned")]
 pub fn observe(
     rig: &PyRig,
     markers: Vec<[f64; 3]>,
@@ -111,7 +114,9 @@ pub fn observe(
         "quarter" => Hide::Each(0.25),
         other => {
             let p = other.parse::<f64>().ok().filter(|p| (0.0..1.0).contains(p));
-            Hide::Each(p.ok_or_else(|| RigError::new_err(format!("hide '{other}': none, one, quarter or a probability")))?)
+            Hide::Each(
+                p.ok_or_else(|| RigError::new_err(format!("hide '{other}': none, one, quarter or a probability")))?,
+            )
         }
     };
     let what = Imperfections { sigma_px, hide, merge_px, clutter_per_frame, reflections };

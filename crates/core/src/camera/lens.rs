@@ -69,7 +69,7 @@ pub fn brown_conrady_inverse(k: &[f64; 6], p: &[f64; 2], measured: Vector2<f64>)
     let mut at = measured;
     for _ in 0..NEWTON_STEPS {
         let (distorted, jacobian) = brown_conrady(k, p, at);
-        if jacobian.determinant() <= 0.0 {
+        if jacobian.determinant() <= 0.0 || jacobian.trace() <= 0.0 {
             return None;
         }
         let step = jacobian.try_inverse()? * (distorted - measured);

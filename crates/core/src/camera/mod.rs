@@ -57,7 +57,7 @@ impl Camera {
             Lens::Ideal => Some((focal.component_mul(&normalised) + principal, Matrix2::from_diagonal(&focal))),
             Lens::BrownConrady { k, p } => {
                 let (distorted, jacobian) = lens::brown_conrady(k, p, normalised);
-                (jacobian.determinant() > 0.0)
+                unfolded(&jacobian)
                     .then(|| (focal.component_mul(&distorted) + principal, Matrix2::from_diagonal(&focal) * jacobian))
             }
             Lens::Fisheye { k } => {
@@ -87,7 +87,7 @@ impl Camera {
             Lens::ViconRadial { center_px, k } => {
                 let center = Vector2::from(*center_px);
                 let (ideal, jacobian) = lens::vicon_ideal_offset(k, pixel - center);
-                (jacobian.determinant() > 0.0).then(|| (ideal + center - principal).component_div(&focal))
+                unfolded(&jacobian).then(|| (ideal + center - principal).component_div(&focal))
             }
         }
     }
@@ -134,6 +134,12 @@ impl Camera {
     pub fn sees(&self, point_in_world: &Vector3<f64>) -> bool {
         self.project(point_in_world).is_some_and(|pixel| self.sees_pixel(pixel))
     }
+}
+
+/// Whether a lens keeps the order of image points here. The derivative of a radial lens is symmetric: it must be positive
+/// definite, or the polynomial has turned back.
+fn unfolded(jacobian: &Matrix2<f64>) -> bool {
+    jacobian.determinant() > 0.0 && jacobian.trace() > 0.0
 }
 
 /// All cameras of a capture, in ascending order of identity.
@@ -204,22 +210,39 @@ mod tests {
                 let (_, derivatives) = camera.project_with_derivatives(&point).unwrap();
                 for axis in 0..3 {
                     let step = Vector3::ith(axis, h);
-                    let by_point = (camera.project(&(point + step)).unwrap() - camera.project(&(point - step)).unwrap()) / (2.0 * h);
-                    assert_relative_eq!(derivatives.by_point.column(axis), by_point.column(0), epsilon = 1e-3, max_relative = 1e-5);
+                    let by_point = (camera.project(&(point + step)).unwrap()
+                        - camera.project(&(point - step)).unwrap())
+                        / (2.0 * h);
+                    assert_relative_eq!(
+                        derivatives.by_point.column(axis),
+                        by_point.column(0),
+                        epsilon = 1e-3,
+                        max_relative = 1e-5
+                    );
                     let moved = |s: f64| {
                         let mut other = camera.clone();
                         other.position_m += step * s;
                         other.project(&point).unwrap()
                     };
                     let by_position = (moved(1.0) - moved(-1.0)) / (2.0 * h);
-                    assert_relative_eq!(derivatives.by_position.column(axis), by_position.column(0), epsilon = 1e-3, max_relative = 1e-5);
+                    assert_relative_eq!(
+                        derivatives.by_position.column(axis),
+                        by_position.column(0),
+                        epsilon = 1e-3,
+                        max_relative = 1e-5
+                    );
                     let turned = |s: f64| {
                         let mut other = camera.clone();
                         other.camera_from_world = Rotation3::new(step * s).matrix() * camera.camera_from_world;
                         other.project(&point).unwrap()
                     };
                     let by_rotation = (turned(1.0) - turned(-1.0)) / (2.0 * h);
-                    assert_relative_eq!(derivatives.by_rotation.column(axis), by_rotation.column(0), epsilon = 1e-3, max_relative = 1e-5);
+                    assert_relative_eq!(
+                        derivatives.by_rotation.column(axis),
+                        by_rotation.column(0),
+                        epsilon = 1e-3,
+                        max_relative = 1e-5
+                    );
                 }
             }
         }

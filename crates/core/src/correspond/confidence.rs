@@ -24,7 +24,8 @@ pub fn confidences(candidates: &Candidates, packing: &Packing, n_dots: usize) ->
     let uncovered: f64 = (0..n_dots).filter(|&z| holder[z].is_none()).map(|z| packing.prices[z]).sum();
     // Where prices are not exact, part of a loss is won back later.
     let horizon = HORIZON + (own_loss + uncovered).max(0.0);
-    let mut groups_of = by_dot(candidates, n_dots, (0..candidates.len() as u32).filter(|&g| losses[g as usize] < horizon));
+    let mut groups_of =
+        by_dot(candidates, n_dots, (0..candidates.len() as u32).filter(|&g| losses[g as usize] < horizon));
     for groups in &mut groups_of {
         groups.sort_unstable_by(|&a, &b| losses[a as usize].total_cmp(&losses[b as usize]).then(a.cmp(&b)));
     }

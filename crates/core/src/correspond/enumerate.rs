@@ -102,7 +102,7 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
         local: Local::default(),
         members: Vec::with_capacity(Local::CAPACITY),
         ridge: 12.0 / model.region.diagonal().powi(2),
-        constant: model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln(),
+        constant: constant(scene),
         solid_step_limit: 0,
     };
     let solids = if scene.rig.cameras.len() > FULL_VIEWS { solid::grow(scene, frame, graph) } else { Vec::new() };
@@ -116,13 +116,18 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
             if !solids.is_empty() && search.belongs_to_solids(&in_solid, a, edge.to) {
                 continue;
             }
-            search.from_pair(a, edge.to, edge.point);
+            search.grow_pair(a, edge.to, edge.point);
             if search.found.truncated {
                 return search.found;
             }
         }
     }
     search.found
+}
+
+/// The part of a group's weight that is the same for all groups.
+pub fn constant(scene: &Scene) -> f64 {
+    scene.model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln()
 }
 
 /// Dots around one pair, linearised at its point.
@@ -203,7 +208,7 @@ struct Sums {
 }
 
 impl Search<'_> {
-    fn from_pair(&mut self, a: u32, b: u32, at: Vector3<f64>) {
+    fn grow_pair(&mut self, a: u32, b: u32, at: Vector3<f64>) {
         self.local.clear(at);
         self.local.push(self.frame, a);
         self.local.push(self.frame, b);
@@ -263,7 +268,8 @@ impl Search<'_> {
             return;
         }
         let camera = camera_of(self, next);
-        let end = (next..self.local.dots.len()).find(|&i| camera_of(self, i) != camera).unwrap_or(self.local.dots.len());
+        let end =
+            (next..self.local.dots.len()).find(|&i| camera_of(self, i) != camera).unwrap_or(self.local.dots.len());
         for i in next..end {
             self.found.steps += 1;
             if self.found.steps > self.solid_step_limit {
@@ -371,7 +377,8 @@ impl Search<'_> {
         let home = self.local.at;
         let mut at = home + step;
         for _ in 0..5 {
-            if self.members.iter().any(|&i| self.frame.sights[self.local.dots[i as usize] as usize].depth(&at) <= 1e-6) {
+            if self.members.iter().any(|&i| self.frame.sights[self.local.dots[i as usize] as usize].depth(&at) <= 1e-6)
+            {
                 break;
             }
             self.local.relinearise(self.frame, at);
@@ -396,7 +403,10 @@ impl Search<'_> {
     fn emit(&mut self, sums: &Sums, cost: f64, minimum: &Minimum) {
         let point = self.local.at + minimum.step;
         let visible = (self.scene.visible(&point) | sums.cameras).count_ones();
-        let weight = self.constant + self.scene.ln_density(&point) + self.scene.ln_views[visible as usize][self.members.len()] + sums.gain
+        let weight = self.constant
+            + self.scene.ln_density(&point)
+            + self.scene.ln_views[visible as usize][self.members.len()]
+            + sums.gain
             - 0.5 * (cost + minimum.determinant.ln());
         if weight > 0.0 {
             let local = &self.local;
@@ -407,7 +417,8 @@ impl Search<'_> {
 
 /// Two reweighted steps with the tail's weights, from the least-squares minimum.
 fn robust_cost(local: &Local, members: &[u8], tail: Tail, start: Minimum) -> Option<(f64, Minimum)> {
-    let total = |step: &Vector3<f64>| members.iter().map(|&i| tail.cost(local.linear[i as usize].squared_after(step))).sum();
+    let total =
+        |step: &Vector3<f64>| members.iter().map(|&i| tail.cost(local.linear[i as usize].squared_after(step))).sum();
     let mut best: (f64, Minimum) = (total(&start.step), start);
     let mut step = start.step;
     for _ in 0..2 {
@@ -424,4 +435,3 @@ fn robust_cost(local: &Local, members: &[u8], tail: Tail, start: Minimum) -> Opt
     }
     Some(best)
 }
-

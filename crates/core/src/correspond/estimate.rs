@@ -11,11 +11,11 @@
 
 use super::enumerate::EnumerateOptions;
 use super::frame::{Dot, PreparedFrame};
+use super::noise::fit_noise;
 use super::optimal::{OptimalOptions, choose};
-use super::scene::{Aabb, Reflection, Scene, SceneModel, Tail};
+use super::scene::{Aabb, Reflection, Scene, SceneModel};
 use crate::camera::Rig;
 use crate::sight::Sight;
-use crate::triangulate::refine;
 use nalgebra::{Vector2, Vector3};
 
 /// Options of the estimation.
@@ -161,10 +161,8 @@ fn objective_of(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> (f64, f64) 
 
 /// What one pass over the sample collects.
 struct Evidence {
-    /// By camera: half the squared residual (dot's own sigma = 1, leverage removed).
-    residuals: Vec<Vec<f64>>,
-    /// By camera: sum of the residuals as vectors, in the same unit.
-    bias: Vec<Vector2<f64>>,
+    /// Groups of three dots or more, with their points.
+    members: Vec<(Vec<Sight>, Vector3<f64>)>,
     points: Vec<Vector3<f64>>,
     groups: f64,
     /// Groups by the number of cameras that could see them and that did: `[could][did]`.
@@ -174,7 +172,7 @@ struct Evidence {
     frames: f64,
 }
 
-fn improved(rig: &Rig, model: &SceneModel, sample: &[&[Dot]], fit_noise: bool, round: usize) -> SceneModel {
+fn improved(rig: &Rig, model: &SceneModel, sample: &[&[Dot]], noise_is_free: bool, round: usize) -> SceneModel {
     let evidence = collect(rig, model, sample);
     let mut next = model.clone();
     let n = evidence.frames.max(1.0);
@@ -199,11 +197,8 @@ fn improved(rig: &Rig, model: &SceneModel, sample: &[&[Dot]], fit_noise: bool, r
         let alone = evidence.alone[camera].len() as f64 / n;
         next.clutter[camera] = (alone - fixed - single_views_per_camera).max(0.02);
     }
-    if fit_noise {
-        next.noise = noise_of(&evidence.residuals, &evidence.bias, &model.noise, model.tail);
-        if round + 1 < ROUNDS {
-            next.tail = tail_of(&evidence.residuals, &next.noise);
-        }
+    if noise_is_free {
+        (next.noise, next.tail) = fit_noise(&evidence.members, &model.noise, model.tail, round + 1 < ROUNDS);
     }
     next
 }
@@ -265,8 +260,7 @@ fn collect(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> Evidence {
     let scene = Scene::new(rig, model);
     let cameras = rig.cameras.len();
     let mut evidence = Evidence {
-        residuals: vec![Vec::new(); cameras],
-        bias: vec![Vector2::zeros(); cameras],
+        members: Vec::new(),
         points: Vec::new(),
         groups: 0.0,
         views: vec![vec![0.0; cameras + 1]; cameras + 1],
@@ -284,12 +278,12 @@ fn collect(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> Evidence {
             let seen = members.iter().fold(0u128, |m, &z| m | (1 << frame.sights[z as usize].camera));
             let could = (scene.visible(&candidates.points[group]) | seen).count_ones();
             evidence.views[could as usize][members.len()] += 1.0;
-            let sights: Vec<&Sight> = members.iter().map(|&z| &frame.sights[z as usize]).collect();
             if members.len() < 3 {
                 continue;
             }
             evidence.points.push(candidates.points[group]);
-            add_residuals(&mut evidence, model, &sights, candidates.points[group]);
+            let sights = members.iter().map(|&z| frame.sights[z as usize].clone()).collect();
+            evidence.members.push((sights, candidates.points[group]));
         }
         for (z, _) in used.iter().enumerate().filter(|(_, u)| !**u) {
             let dot = &dots[frame.input_index[z]];
@@ -297,24 +291,6 @@ fn collect(rig: &Rig, model: &SceneModel, sample: &[&[Dot]]) -> Evidence {
         }
     }
     evidence
-}
-
-/// Squared residuals in units of the dots' own sigma, divided by what the fit leaves of them (1 − leverage).
-fn add_residuals(evidence: &mut Evidence, model: &SceneModel, sights: &[&Sight], start: Vector3<f64>) {
-    let weight = |e2: f64| model.tail.map_or(1.0, |t| t.weight(e2));
-    let Some((point, normal)) = refine(sights, start, weight) else { return };
-    let Some(covariance) = normal.information().try_inverse() else { return };
-    for sight in sights {
-        let linear = sight.linearise(&point);
-        let share = weight(linear.error.norm_squared());
-        let kept = nalgebra::Matrix2::identity() - share * (linear.by_point * covariance * linear.by_point.transpose());
-        let freedom = 0.5 * kept.trace();
-        if freedom > 0.1 {
-            let scale = model.noise[sight.camera];
-            evidence.residuals[sight.camera].push(0.5 * linear.error.norm_squared() * scale * scale / freedom);
-            evidence.bias[sight.camera] += linear.error * scale / freedom.sqrt();
-        }
-    }
 }
 
 /// The box of the points, grown so that unseen frames fit, and never smaller than a tenth of the region.
@@ -334,74 +310,6 @@ fn volume_of(points: &[Vector3<f64>], region: &Aabb) -> Option<Aabb> {
     // The extremes of n samples miss 1/n of the range on each side; a handful of points says little.
     let margin = (high - low) * (2.0 / n).clamp(0.02, 1.0) + (region.high - region.low) / (n + 10.0);
     Some(Aabb { low, high }.grown(margin).intersection(region))
-}
-
-/// Noise per camera: the core of the residuals, shrunk towards the rig's. A residual that points the same way all the
-/// time is an error of calibration: it is no measure of a camera's noise, and weighting by it would let the cameras
-/// that happen to agree dictate the points. So the own variance counts only as far as it is not bias.
-fn noise_of(residuals: &[Vec<f64>], bias: &[Vector2<f64>], before: &[f64], tail: Option<Tail>) -> Vec<f64> {
-    let all: Vec<f64> = residuals.iter().flatten().copied().collect();
-    let Some(overall) = core_variance(&all, tail) else { return before.to_vec() };
-    let prior = 30.0;
-    let shrunk = |(own, bias): (&Vec<f64>, &Vector2<f64>)| {
-        let variance = core_variance(own, tail).unwrap_or(overall);
-        let n = own.len() as f64;
-        let constant = (bias / n.max(1.0)).norm_squared() / (2.0 * own.iter().sum::<f64>() / n.max(1.0)).max(1e-12);
-        let trust = n / (n + prior) * (1.0 - constant).clamp(0.0, 1.0);
-        (trust * variance + (1.0 - trust) * overall).sqrt().max(1e-3)
-    };
-    residuals.iter().zip(bias).map(shrunk).collect()
-}
-
-/// Variance per axis of two-dimensional residuals (given as half their squared length). Where there is a tail, from
-/// the median, so that the tail does not count.
-fn core_variance(half_squares: &[f64], tail: Option<Tail>) -> Option<f64> {
-    if half_squares.is_empty() {
-        return None;
-    }
-    if tail.is_none() {
-        return Some(half_squares.iter().sum::<f64>() / half_squares.len() as f64);
-    }
-    let mut sorted = half_squares.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    // Half the squared length of a two-dimensional normal is exponential: its median is σ² ln 2.
-    Some(sorted[sorted.len() / 2] / std::f64::consts::LN_2)
-}
-
-/// Fits the wide component by expectation–maximisation; `None` where one Gaussian explains the residuals as well.
-fn tail_of(residuals: &[Vec<f64>], noise: &[f64]) -> Option<Tail> {
-    let scaled: Vec<f64> =
-        residuals.iter().zip(noise).flat_map(|(own, s)| own.iter().map(move |r| r / (s * s))).collect();
-    if scaled.len() < 100 {
-        return None;
-    }
-    // In exponential variables: density = (1 − a)·e^(−r/c)/c + a·e^(−r/d)/d.
-    let mean = scaled.iter().sum::<f64>() / scaled.len() as f64;
-    let (mut share, mut core, mut wide) = (0.1, 0.6 * mean, 5.0 * mean);
-    for _ in 0..60 {
-        let (mut sum_a, mut sum_core, mut sum_wide) = (0.0, 0.0, 0.0);
-        for r in &scaled {
-            let p_wide = share * (-r / wide).exp() / wide;
-            let p_core = (1.0 - share) * (-r / core).exp() / core;
-            let a = p_wide / (p_wide + p_core).max(1e-300);
-            sum_a += a;
-            sum_wide += a * r;
-            sum_core += (1.0 - a) * r;
-        }
-        let n = scaled.len() as f64;
-        share = (sum_a / n).clamp(1e-4, 0.5);
-        core = sum_core / (n - sum_a).max(1e-9);
-        wide = sum_wide / sum_a.max(1e-9);
-    }
-    let plain: f64 = scaled.iter().map(|r| -r / mean - mean.ln()).sum();
-    let mixed: f64 = scaled
-        .iter()
-        .map(|r| (share * (-r / wide).exp() / wide + (1.0 - share) * (-r / core).exp() / core).ln())
-        .sum();
-    let scale = (wide / core).sqrt();
-    // Two more parameters must earn their keep (Schwarz 1978), and a tail that hardly differs is none.
-    let worthwhile = mixed - plain > (scaled.len() as f64).ln() + 5.0;
-    (worthwhile && scale > 2.0 && share > 0.005).then_some(Tail { share, scale: scale.min(6.0) })
 }
 
 /// Places where dots without a group appear in at least 30 % of the frames.
@@ -428,7 +336,8 @@ fn reflections_of(alone: &[[f64; 2]], noise_px: f64, frames: f64) -> Vec<Reflect
         }
         let n = near.len() as f64;
         let mean = [0, 1].map(|axis| near.iter().map(|&j| sorted[j][axis]).sum::<f64>() / n);
-        let spread2 = near.iter().map(|&j| (sorted[j][0] - mean[0]).powi(2) + (sorted[j][1] - mean[1]).powi(2)).sum::<f64>();
+        let spread2 =
+            near.iter().map(|&j| (sorted[j][0] - mean[0]).powi(2) + (sorted[j][1] - mean[1]).powi(2)).sum::<f64>();
         near.iter().for_each(|&j| used[j] = true);
         let spread_px = (0.5 * spread2 / n).sqrt().max(noise_px).max(0.05);
         found.push(Reflection { pixel: mean, rate: rate.min(1.0), spread_px });

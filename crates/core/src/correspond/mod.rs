@@ -11,6 +11,7 @@ pub mod enumerate;
 pub mod epipolar;
 pub mod estimate;
 pub mod frame;
+pub mod noise;
 pub mod optimal;
 pub mod packing;
 pub mod pairs;
@@ -18,7 +19,8 @@ pub mod relaxation;
 pub mod scene;
 pub mod solid;
 
-use crate::triangulate::{Triangulated, TriangulateOptions, refine, widest_angle_deg};
+use crate::sight::Normal;
+use crate::triangulate::{TriangulateOptions, refine, widest_angle_deg};
 use frame::PreparedFrame;
 use nalgebra::{Matrix3, Vector3};
 use scene::Scene;
@@ -70,8 +72,15 @@ pub struct Correspondence {
 
 /// Turns chosen dots into a group with a point; `None` if they have no point (degenerate geometry).
 ///
+/// `confidence` is known where alternatives were weighed; without it, the group is weighed against its dots being alone.
 /// The weights of a tail enter here too, so that a half-hidden marker's biased dot does not pull the point.
-pub fn group_from_dots(scene: &Scene, frame: &PreparedFrame, dots: &[usize], start: Vector3<f64>, confidence: f64) -> Option<Group> {
+pub fn group_from_dots(
+    scene: &Scene,
+    frame: &PreparedFrame,
+    dots: &[usize],
+    start: Vector3<f64>,
+    confidence: Option<f64>,
+) -> Option<Group> {
     let sights: Vec<_> = dots.iter().map(|&d| &frame.sights[d]).collect();
     if widest_angle_deg(&sights) < TriangulateOptions::default().min_angle_deg {
         return None;
@@ -82,7 +91,7 @@ pub fn group_from_dots(scene: &Scene, frame: &PreparedFrame, dots: &[usize], sta
         return None;
     }
     let covariance = normal.information().try_inverse()?;
-    let found = Triangulated { point, covariance, rss: 0.0, left_out: None };
+    let confidence = confidence.unwrap_or_else(|| odds_alone(scene, frame, dots, &point));
     let (mut squared_px, mut distance) = (0.0, 0.0);
     for sight in &sights {
         squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px * sight.sigma_px;
@@ -91,10 +100,28 @@ pub fn group_from_dots(scene: &Scene, frame: &PreparedFrame, dots: &[usize], sta
     let n = sights.len() as f64;
     Some(Group {
         dots: dots.iter().map(|&d| frame.input_index[d]).collect(),
-        point: found.point,
-        covariance: found.covariance,
+        point,
+        covariance,
         confidence,
         residual_px: (squared_px / n).sqrt(),
         ray_distance_m: distance / n,
     })
+}
+
+/// Probability of a group against "none of its dots is part of a marker", other groups left out of account.
+fn odds_alone(scene: &Scene, frame: &PreparedFrame, dots: &[usize], point: &Vector3<f64>) -> f64 {
+    let (mut normal, mut cost, mut gain, mut cameras) = (Normal::default(), 0.0, 0.0, 0u128);
+    for &dot in dots {
+        let linear = frame.sights[dot].linearise(point);
+        let squared = linear.error.norm_squared();
+        cost += scene.model.tail.map_or(squared, |tail| tail.cost(squared));
+        normal = normal.plus(&Normal::of(&linear, 1.0));
+        gain += frame.gains[dot];
+        cameras |= 1 << frame.sights[dot].camera;
+    }
+    let visible = (scene.visible(point) | cameras).count_ones() as usize;
+    let determinant = normal.information().determinant();
+    let weight = enumerate::constant(scene) + scene.ln_density(point) + scene.ln_views[visible][dots.len()] + gain
+        - 0.5 * (cost + determinant.ln());
+    1.0 / (1.0 + (-weight).exp())
 }

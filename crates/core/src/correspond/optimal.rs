@@ -42,7 +42,7 @@ pub fn optimal(scene: &Scene, frame: &PreparedFrame, options: &OptimalOptions) -
         .zip(confidence)
         .filter_map(|(&group, confidence)| {
             let dots: Vec<usize> = candidates.dots(group).iter().map(|&z| z as usize).collect();
-            group_from_dots(scene, frame, &dots, candidates.points[group], confidence)
+            group_from_dots(scene, frame, &dots, candidates.points[group], Some(confidence))
         })
         .collect();
     Correspondence {

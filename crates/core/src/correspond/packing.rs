@@ -93,11 +93,19 @@ struct Solver<'a> {
 
 impl<'a> Solver<'a> {
     fn new(candidates: &'a Candidates, n_dots: usize) -> Self {
-        Self { candidates, prices: vec![0.0; n_dots], chosen: Vec::new(), best: 0.0, bound: f64::INFINITY, taken: vec![false; n_dots] }
+        Self {
+            candidates,
+            prices: vec![0.0; n_dots],
+            chosen: Vec::new(),
+            best: 0.0,
+            bound: f64::INFINITY,
+            taken: vec![false; n_dots],
+        }
     }
 
     fn reduced(&self, group: usize) -> f64 {
-        self.candidates.weights[group] - self.candidates.dots(group).iter().map(|&z| self.prices[z as usize]).sum::<f64>()
+        self.candidates.weights[group]
+            - self.candidates.dots(group).iter().map(|&z| self.prices[z as usize]).sum::<f64>()
     }
 
     /// Takes groups in descending order of a key while they are disjoint; keeps the choice if it is the best so far.
@@ -145,7 +153,8 @@ impl<'a> Solver<'a> {
                 best_prices.clone_from(&self.prices);
             }
             let near = |r: f64| r > -NEAR;
-            let mut working: Vec<u32> = active.iter().zip(&reduced).filter(|(_, r)| near(**r)).map(|(&g, _)| g).collect();
+            let mut working: Vec<u32> =
+                active.iter().zip(&reduced).filter(|(_, r)| near(**r)).map(|(&g, _)| g).collect();
             self.greedy(&working, Self::reduced_scaled);
             let best = self.best;
             let mut value = reduced.iter();
@@ -198,7 +207,8 @@ impl<'a> Solver<'a> {
                 continue;
             }
             // A dot without price that nobody wants does not push prices below zero.
-            let norm2: f64 = usage.iter().zip(&self.prices).map(|(&s, &u)| if s > 0.0 && u <= 0.0 { 0.0 } else { s * s }).sum();
+            let norm2: f64 =
+                usage.iter().zip(&self.prices).map(|(&s, &u)| if s > 0.0 && u <= 0.0 { 0.0 } else { s * s }).sum();
             if norm2 < 0.5 {
                 break;
             }
@@ -243,6 +253,15 @@ pub fn by_dot(candidates: &Candidates, n_dots: usize, groups: impl Iterator<Item
         candidates.dots(group as usize).iter().for_each(|&z| groups_of[z as usize].push(group));
     }
     groups_of
+}
+
+/// Root of a set in a disjoint-set forest, with path halving.
+fn find(root: &mut [u32], mut z: u32) -> u32 {
+    while root[z as usize] != z {
+        root[z as usize] = root[root[z as usize] as usize];
+        z = root[z as usize];
+    }
+    z
 }
 
 /// Depth-first search for the choice with the smallest loss below a cutoff.
@@ -320,13 +339,6 @@ impl<'a> BranchAndBound<'a> {
     /// Dots that share no useful group are decided independently.
     fn components(&self, open: &[u32]) -> Vec<Vec<u32>> {
         let mut root: Vec<u32> = (0..self.state.len() as u32).collect();
-        fn find(root: &mut [u32], mut z: u32) -> u32 {
-            while root[z as usize] != z {
-                root[z as usize] = root[root[z as usize] as usize];
-                z = root[z as usize];
-            }
-            z
-        }
         for groups in &self.groups_of {
             for &g in groups {
                 let dots = self.candidates.dots(g as usize);

@@ -50,7 +50,7 @@ impl PairGraph {
                     continue;
                 }
                 let origins = [first, second].map(|c| scene.rig.cameras[c].position_m);
-                index.fill(frame, origins, ranges.clone());
+                index.fill(frame, origins, &ranges);
                 index.matches(reach, |a, b| {
                     if let Some((rss, point)) = meet(frame, a, b, scene.model.region.diagonal())
                         && rss <= gate
@@ -79,7 +79,7 @@ impl PairGraph {
     }
 
     /// Dots that match both of two dots, in ascending order.
-    pub fn common<'a>(&'a self, a: u32, b: u32) -> impl Iterator<Item = u32> + 'a {
+    pub fn common(&self, a: u32, b: u32) -> impl Iterator<Item = u32> + '_ {
         let (of_a, of_b) = (&self.neighbours[a as usize], &self.neighbours[b as usize]);
         let mut at = 0;
         of_a.iter().copied().filter(move |&z| {
@@ -114,7 +114,7 @@ fn meet(frame: &PreparedFrame, a: usize, b: usize, region_diagonal: f64) -> Opti
         return None;
     }
     let clamped = s.clamp(frame.chords[a][0], frame.chords[a][1]);
-    let start = if clamped == s { meeting.midpoint } else { first.origin + first.direction * clamped };
+    let start = if (s - clamped).abs() < 1e-12 { meeting.midpoint } else { first.origin + first.direction * clamped };
     if first.depth(&start) <= 1e-6 || second.depth(&start) <= 1e-6 {
         return None;
     }
@@ -146,7 +146,7 @@ struct Plane {
 }
 
 impl PlaneIndex {
-    fn fill(&mut self, frame: &PreparedFrame, origins: [Vector3<f64>; 2], ranges: [std::ops::Range<usize>; 2]) {
+    fn fill(&mut self, frame: &PreparedFrame, origins: [Vector3<f64>; 2], ranges: &[std::ops::Range<usize>; 2]) {
         let baseline = origins[1] - origins[0];
         let along = baseline.try_normalize(1e-9).unwrap_or_else(Vector3::z);
         let other = if along.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };

@@ -62,7 +62,7 @@ pub fn relaxation(scene: &Scene, frame: &PreparedFrame, options: &RelaxationOpti
     }
     let groups = accepted(&cliques, &labels)
         .into_iter()
-        .filter_map(|dots| group_from_dots(scene, frame, &dots, starting_point(&graph, &dots)?, 0.5))
+        .filter_map(|dots| group_from_dots(scene, frame, &dots, starting_point(&graph, &dots)?, None))
         .collect();
     Correspondence { groups, candidates: cliques.len(), ..Correspondence::default() }
 }

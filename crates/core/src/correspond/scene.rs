@@ -203,7 +203,8 @@ impl<'a> Scene<'a> {
     fn visible_near(&self, point: &Vector3<f64>) -> u128 {
         let last = VISIBILITY_CELLS as f64 - 1.0;
         let cell = (point - self.model.volume.low).component_mul(&self.cell_from_point);
-        let (i, j, k) = (cell.x.clamp(0.0, last) as usize, cell.y.clamp(0.0, last) as usize, cell.z.clamp(0.0, last) as usize);
+        let (i, j, k) =
+            (cell.x.clamp(0.0, last) as usize, cell.y.clamp(0.0, last) as usize, cell.z.clamp(0.0, last) as usize);
         self.visible[(i * VISIBILITY_CELLS + j) * VISIBILITY_CELLS + k]
     }
 
@@ -227,10 +228,19 @@ impl<'a> Scene<'a> {
                 let point = sight.origin + sight.direction * along;
                 let others = (self.visible_near(&point) & !(1 << sight.camera)).count_ones();
                 let depth = along * depth_per_length;
-                sum += self.density[usize::from(model.volume.contains(&point))] * depth * depth * self.missed[others as usize];
+                sum += self.density[usize::from(model.volume.contains(&point))]
+                    * depth
+                    * depth
+                    * self.missed[others as usize];
             }
             // dX = Z² dx dy dZ on the normalised plane.
-            density += model.single_view_factor * model.expected_markers * model.detection * sum * step * depth_per_length * sight.pixel_area;
+            density += model.single_view_factor
+                * model.expected_markers
+                * model.detection
+                * sum
+                * step
+                * depth_per_length
+                * sight.pixel_area;
         }
         density.max(1e-12).ln()
     }

@@ -105,7 +105,13 @@ fn grow_from(
 
 /// Takes the best fitting dot of every camera at the point that a grown group gives: the pair it grew from may have
 /// missed some, or let foreign ones in while the point was uncertain.
-fn gather(scene: &Scene, frame: &PreparedFrame, taken: &[bool], mut dots: Vec<u32>, mut point: Vector3<f64>) -> Option<Solid> {
+fn gather(
+    scene: &Scene,
+    frame: &PreparedFrame,
+    taken: &[bool],
+    mut dots: Vec<u32>,
+    mut point: Vector3<f64>,
+) -> Option<Solid> {
     let gate = scene.group_gates[2];
     let error2 = |z: u32, at: &Vector3<f64>| frame.sights[z as usize].linearise(at).error.norm_squared();
     for _ in 0..2 {

@@ -13,7 +13,13 @@ use nalgebra::Vector3;
 use random::Random;
 
 /// Markers uniformly in a box about `center`, new ones in every frame.
-pub fn cloud(seed: u64, frame: usize, markers: usize, size_m: &Vector3<f64>, center_m: &Vector3<f64>) -> Vec<Vector3<f64>> {
+pub fn cloud(
+    seed: u64,
+    frame: usize,
+    markers: usize,
+    size_m: &Vector3<f64>,
+    center_m: &Vector3<f64>,
+) -> Vec<Vector3<f64>> {
     let mut random = Random::new(seed, 2 * frame as u64);
     (0..markers).map(|_| random.in_box(size_m) + center_m).collect()
 }

@@ -43,15 +43,22 @@ pub struct SeenDot {
 }
 
 /// Dots of one frame in random order within each camera. `capsules` hide what is behind them.
-pub fn observe(rig: &Rig, markers: &[Vector3<f64>], capsules: &[Capsule], what: &Imperfections, seed: u64, frame: usize) -> Vec<SeenDot> {
+pub fn observe(
+    rig: &Rig,
+    markers: &[Vector3<f64>],
+    capsules: &[Capsule],
+    what: &Imperfections,
+    seed: u64,
+    frame: usize,
+) -> Vec<SeenDot> {
     let mut random = Random::new(seed, 2 * frame as u64 + 1);
     let seen: Vec<Vec<bool>> = markers.iter().map(|m| visible_in(rig, m, capsules, what.hide, &mut random)).collect();
     let mut dots = Vec::new();
     for camera in 0..rig.cameras.len() {
         let mut own = Vec::new();
-        for (marker, point) in markers.iter().enumerate() {
+        for (marker, (point, visible)) in markers.iter().zip(&seen).enumerate() {
             let noise = [random.normal(), random.normal()];
-            if !seen[marker][camera] {
+            if !visible[camera] {
                 continue;
             }
             if let Some(pixel) = rig.cameras[camera].project(point) {
@@ -106,7 +113,14 @@ fn merge(dots: &mut Vec<SeenDot>, merge_px: f64) {
     }
 }
 
-fn add_false_dots(rig: &Rig, camera: usize, what: &Imperfections, seed: u64, random: &mut Random, dots: &mut Vec<SeenDot>) {
+fn add_false_dots(
+    rig: &Rig,
+    camera: usize,
+    what: &Imperfections,
+    seed: u64,
+    random: &mut Random,
+    dots: &mut Vec<SeenDot>,
+) {
     let [width, height] = rig.cameras[camera].size_px;
     let mut place = Random::new(seed ^ 0x5eed_0f1a_0b00, camera as u64);
     for _ in 0..what.reflections {

@@ -27,7 +27,14 @@ fn on_sphere(azimuth_deg: f64, elevation_deg: f64, distance_m: f64) -> Vector3<f
 }
 
 /// `n` cameras evenly around the origin at one elevation; the first stands at `first_azimuth_deg`.
-pub fn ring(n: usize, distance_m: f64, elevation_deg: f64, first_azimuth_deg: f64, size_px: [f64; 2], focal_px: f64) -> Rig {
+pub fn ring(
+    n: usize,
+    distance_m: f64,
+    elevation_deg: f64,
+    first_azimuth_deg: f64,
+    size_px: [f64; 2],
+    focal_px: f64,
+) -> Rig {
     let azimuth = |i: usize| first_azimuth_deg + 360.0 * i as f64 / n as f64;
     around(n, distance_m, elevation_deg, azimuth, size_px, focal_px)
 }
@@ -38,8 +45,16 @@ pub fn arc(n: usize, distance_m: f64, elevation_deg: f64, span_deg: f64, size_px
     around(n, distance_m, elevation_deg, azimuth, size_px, focal_px)
 }
 
-fn around(n: usize, distance_m: f64, elevation_deg: f64, azimuth: impl Fn(usize) -> f64, size_px: [f64; 2], focal_px: f64) -> Rig {
-    let camera = |i| looking_at(i, on_sphere(azimuth(i), elevation_deg, distance_m), Vector3::zeros(), size_px, focal_px);
+fn around(
+    n: usize,
+    distance_m: f64,
+    elevation_deg: f64,
+    azimuth: impl Fn(usize) -> f64,
+    size_px: [f64; 2],
+    focal_px: f64,
+) -> Rig {
+    let camera =
+        |i| looking_at(i, on_sphere(azimuth(i), elevation_deg, distance_m), Vector3::zeros(), size_px, focal_px);
     Rig { cameras: (0..n).map(camera).collect() }
 }
 

@@ -135,13 +135,8 @@ impl C3d {
     fn add_group(&mut self, name: &str) -> i8 {
         let taken: Vec<i8> = self.records.iter().map(|r| r.group).collect();
         let id = (1..=127).find(|i| !taken.contains(i)).unwrap_or(127);
-        let record = Record {
-            name: name.as_bytes().to_vec(),
-            group: id,
-            locked: false,
-            description: Vec::new(),
-            content: None,
-        };
+        let record =
+            Record { name: name.as_bytes().to_vec(), group: id, locked: false, description: Vec::new(), content: None };
         self.records.push(record);
         id
     }

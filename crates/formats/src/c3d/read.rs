@@ -121,7 +121,11 @@ fn read_content(bytes: &Bytes, at: usize) -> Result<(Content, usize), FormatErro
     let data = at + 2 + n_dimensions;
     let width = usize::from(kind.unsigned_abs());
     if !matches!(kind, -1 | 1 | 2 | 4) {
-        return Err(FormatError::Invalid { what: "a parameter's type", at, why: format!("{kind} is none of -1, 1, 2, 4") });
+        return Err(FormatError::Invalid {
+            what: "a parameter's type",
+            at,
+            why: format!("{kind} is none of -1, 1, 2, 4"),
+        });
     }
     let raw = bytes.slice(data, count.saturating_mul(width), "a parameter's values")?;
     let values = match kind {

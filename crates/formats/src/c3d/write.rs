@@ -78,7 +78,8 @@ fn parameter_section(records: &[Record]) -> Result<Vec<u8>, FormatError> {
 }
 
 fn write_record(record: &Record, is_last: bool, out: &mut Vec<u8>) -> Result<(), FormatError> {
-    let too_long = |what: &'static str, at: usize| FormatError::Invalid { what, at, why: "too long to be stored".into() };
+    let too_long =
+        |what: &'static str, at: usize| FormatError::Invalid { what, at, why: "too long to be stored".into() };
     let length = i8::try_from(record.name.len()).map_err(|_| too_long("a parameter's name", out.len()))?;
     let group = if record.content.is_some() { record.group } else { -record.group };
     out.push(if record.locked { -length } else { length }.cast_unsigned());
