@@ -15,7 +15,15 @@ from markerloom.evaluate import evaluate, truth_from_assignments
 from markerloom.reconstruct import Progress, reconstruct
 from markerloom.simulate import make_scene, simulate
 
-FIGURES = ("accuracy_3d", "accuracy_set", "ghosts_per_frame", "missing_per_frame", "certified", "ece", "sigma_ratio")
+FIGURES = (
+    "accuracy_3d",
+    "accuracy_set",
+    "ghosts_per_frame",
+    "missing_per_frame",
+    "certified",
+    "ece",
+    "sigma_ratio",
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,8 @@ def _rows() -> list[Row]:
         Row("one-arc-120", changes={"hide": "one", "shape": "arc", "elevation_deg": 0.0, "angle_deg": 120.0}),
     ]
     rows += [
-        Row(f"one-sigma-{sigma}", tolerance_mm=5.0, changes={"hide": "one", "sigma_px": sigma}) for sigma in (0.1, 0.2, 0.3)
+        Row(f"one-sigma-{sigma}", tolerance_mm=5.0, changes={"hide": "one", "sigma_px": sigma})
+        for sigma in (0.1, 0.2, 0.3)
     ]
     rows += [
         Row(f"8-cameras-{markers}", scene="cloud", tolerance_mm=5.0, changes={"markers": markers})
@@ -87,7 +96,9 @@ def _one(job: tuple[Row, int, int]) -> dict[str, float]:
     truth = truth_from_assignments(take.truth, take.truth_assignments, take.rig)
     score = evaluate(points, truth, tolerance_mm=row.tolerance_mm, assignments=points.assignments)
     return {
-        **{f: score[f] for f in ("accuracy_3d", "accuracy_set", "ghosts_per_frame", "missing_per_frame", "sigma_ratio")},
+        **{
+            f: score[f] for f in ("accuracy_3d", "accuracy_set", "ghosts_per_frame", "missing_per_frame", "sigma_ratio")
+        },
         "certified": points.report["certified_frames"],
         "ece": score["confidence_ece"],
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -107,9 +107,9 @@ def demo(
     """
     with progress_bar("demo", quiet) as progress:
         made = demonstration.run(folder, frames=frames, seed=seed, progress=progress)
-    table = Table(*demonstration.HEADER)
-    for row in demonstration.summary(made.scores, made.answers):
-        table.add_row(*row)
+    table = Table(*demonstration.HEADER, "time / frame")
+    for row, answer in zip(demonstration.summary(made.scores), made.answers.values(), strict=True):
+        table.add_row(*row, f"{answer.report['timing']['ms_per_frame']['mean']:.2f} ms")
     if not quiet:
         out.print(table)
     for name, path in made.files.items():
@@ -150,7 +150,10 @@ def simulate(
     with progress_bar("simulate", quiet) as progress:
         take = run_simulate(made, progress=progress)
     save(take, folder)
-    say(quiet, f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}")
+    say(
+        quiet,
+        f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}",
+    )
     finish(report, [], {"scene": scene, **given}, {"frames": made.frames})
 
 
@@ -182,7 +185,9 @@ def reconstruct(
     if rate_hz is not None:
         take = _with_rate(take, rate_hz)
     if formats.ending(output) in (".c3d", ".trc") and take.rate_hz is None:
-        raise InputError(f"a {formats.ending(output)} file needs the frame rate: state it with --rate-hz ({observations})")
+        raise InputError(
+            f"a {formats.ending(output)} file needs the frame rate: state it with --rate-hz ({observations})"
+        )
     with progress_bar("reconstruct", quiet) as progress:
         points = run_reconstruct(
             take, rig, method=method, frames=wanted, threads=threads, noise_px=noise_px, progress=progress
@@ -246,7 +251,9 @@ def evaluate(
     finish(report, inputs, options, result)
 
 
-def _truth(truth: Path, assignments: Path | None, observations: Path | None, calibration: Path | None, units: str) -> Truth:
+def _truth(
+    truth: Path, assignments: Path | None, observations: Path | None, calibration: Path | None, units: str
+) -> Truth:
     samples = formats.read_points(truth)
     if assignments is not None:
         beside = assignments.parent / "calibration.toml"
@@ -335,10 +342,13 @@ def bench(
             result = benchmarks.measure(row, seeds=seeds, frames=frames, progress=progress)
         printed.append(result)
         say(quiet, benchmarks.line(result))
-    finish(report, [], {"scenes": scenes, "seeds": seeds, "frames": frames}, {"rows": printed, "frames": seeds * frames})
+    finish(
+        report,
+        [],
+        {"scenes": scenes, "seeds": seeds, "frames": frames},
+        {"rows": printed, "frames": seeds * frames},
+    )
 
-
-Command = Callable[..., None]
 
 if __name__ == "__main__":
     main()

@@ -10,6 +10,7 @@ frame by frame.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ OPTIONAL_MM = 40.0
 SAME_CENTROID_PX = 4.0
 ANGLE_DEG = (5.0, 175.0)
 CONFIDENCE_BINS = 10
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def truth_from_assignments(points: Points, table: pa.Table, rig: Rig | None) -> 
 
 
 def truth_from_observations(points: Points, observations: Observations, rig: Rig) -> Truth:
-    """Views by projection: a camera holds a marker if a centroid lies within 4 px of its projection and of no other's."""
+    """Views by projection: a camera holds a marker if a centroid lies within 4 px of its projection only."""
     matched = match(observations, rig)
     seen: list[set[str]] = [set() for _ in range(len(points))]
     index_of = {int(f): i for i, f in enumerate(matched.frames)}
@@ -182,6 +183,10 @@ def _assign(distance: Array, tolerance: float) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if distance[r, c] <= tolerance]
 
 
+def _part(distance: Array, rows: list[int], columns: list[int]) -> Array:
+    return distance[rows][:, columns]
+
+
 def _frame(
     tally: _Tally,
     points: Points,
@@ -194,19 +199,19 @@ def _frame(
     """Add one frame; returns which track each marker was matched to."""
     own, other = _rows(truth.points.frame, frame), _rows(points.frame, frame)
     kind = points.kind[other]
-    measured = np.flatnonzero(kind == MEASURED) + other.start
+    measured: NDArray[np.int64] = np.flatnonzero(kind == MEASURED) + other.start
     labels = truth.points.label[own].tolist()
     required = truth.required[own]
     distance = cdist(truth.points.xyz_mm[own], points.xyz_mm[measured]).reshape(len(labels), len(measured))
     pairs = _kept_pairs(labels, points.track[measured], distance, tolerance, last) if points.tracked else []
-    free_truth = [i for i in np.flatnonzero(required) if i not in {p[0] for p in pairs}]
+    free_truth = [i for i in np.flatnonzero(required).tolist() if i not in {p[0] for p in pairs}]
     free_points = [j for j in range(len(measured)) if j not in {p[1] for p in pairs}]
-    best = _assign(distance[np.ix_(free_truth, free_points)], tolerance)
+    best = _assign(_part(distance, free_truth, free_points), tolerance)
     pairs += [(free_truth[i], free_points[j]) for i, j in best]
     used = {j for _, j in pairs}
     rest_truth = [i for i in range(len(labels)) if not required[i] and i not in {p[0] for p in pairs}]
     rest_points = [j for j in range(len(measured)) if j not in used]
-    spare = _assign(distance[np.ix_(rest_truth, rest_points)], max(OPTIONAL_MM, tolerance))
+    spare = _assign(_part(distance, rest_truth, rest_points), max(OPTIONAL_MM, tolerance))
     excused = {rest_points[j] for _, j in spare}
     hits = [(i, j) for i, j in pairs if required[i]]
     ghosts = [j for j in rest_points if j not in excused]
@@ -292,7 +297,7 @@ def expected_calibration_error(confidence: list[tuple[float, bool]]) -> float:
 
 
 def _switches(tracks: list[int]) -> int:
-    return sum(a != b for a, b in zip(tracks, tracks[1:], strict=False))
+    return sum(a != b for a, b in pairwise(tracks))
 
 
 def _result(tally: _Tally, points: Points, tolerance: float, has_sets: bool) -> dict[str, Any]:

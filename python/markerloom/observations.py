@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from markerloom.errors import InputError
 from markerloom.rig import Rig, natural_key
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 OPTIONAL_COLUMNS = ("time_s", "radius", "sigma", "quality", "id")
 
@@ -56,7 +57,9 @@ class Observations:
 
     def _keep(self, keep: NDArray[np.bool_]) -> Observations:
         optional = {name: column[keep] for name, column in self.optional.items()}
-        kept = replace(self, frame=self.frame[keep], camera=self.camera[keep], pixel=self.pixel[keep], optional=optional)
+        kept = replace(
+            self, frame=self.frame[keep], camera=self.camera[keep], pixel=self.pixel[keep], optional=optional
+        )
         return replace(kept, frames=self.frames)
 
 
@@ -79,7 +82,12 @@ class MatchedDots:
     def of_frames(self, first: int, last: int) -> tuple[Ints, Ints, Array, Array]:
         """Starts, camera, pixel and sigma of the frames with index ``first`` to before ``last``."""
         low, high = self.starts[first], self.starts[last]
-        return (self.starts[first : last + 1] - low, self.camera[low:high], self.pixel[low:high], self.sigma[low:high])
+        return (
+            self.starts[first : last + 1] - low,
+            self.camera[low:high],
+            self.pixel[low:high],
+            self.sigma[low:high],
+        )
 
 
 class DotArrays:
@@ -156,7 +164,7 @@ def _count(bad: NDArray[np.bool_], warnings: list[str], text: str) -> NDArray[np
 
 
 def _finite(observations: Observations, warnings: list[str]) -> NDArray[np.bool_]:
-    bad = ~np.isfinite(observations.pixel).all(axis=1)
+    bad = ~np.asarray(np.isfinite(observations.pixel).all(axis=1))
     return _count(bad, warnings, "observations with NaN or infinite pixels are ignored")
 
 

@@ -25,8 +25,9 @@ def text(x: float, y: float, value: str, *, size: float = 12, color: str = INK, 
     return f"<text x='{x:.1f}' y='{y:.1f}' font-size='{size:g}' {FONT} fill='{color}' text-anchor='{anchor}'>{escape(value)}</text>"
 
 
-def line(x1: float, y1: float, x2: float, y2: float, color: str, width: float = 1) -> str:
-    """A line."""
+def line(start: Sequence[float] | np.ndarray, end: Sequence[float] | np.ndarray, color: str, width: float = 1) -> str:
+    """A line between two pixels."""
+    (x1, y1), (x2, y2) = start, end
     return f"<line x1='{x1:.1f}' y1='{y1:.1f}' x2='{x2:.1f}' y2='{y2:.1f}' stroke='{color}' stroke-width='{width:g}'/>"
 
 
@@ -61,10 +62,10 @@ def _floor(view: View, corners: np.ndarray) -> list[str]:
     parts = []
     for x in np.arange(low[0], high[0] + 1):
         a, b = view(np.array([[x, low[1], 0.0], [x, high[1], 0.0]]))
-        parts.append(line(*a, *b, GRID, 0.7))
+        parts.append(line(a, b, GRID, 0.7))
     for y in np.arange(low[1], high[1] + 1):
         a, b = view(np.array([[low[0], y, 0.0], [high[0], y, 0.0]]))
-        parts.append(line(*a, *b, GRID, 0.7))
+        parts.append(line(a, b, GRID, 0.7))
     return parts
 
 
@@ -75,12 +76,14 @@ def _frustum(view: View, rig: Rig, camera: int, depth_m: float) -> list[str]:
     rays = rig.rays(camera, corners)
     tips = view(one.position_m + depth_m * rays)
     apex = view(one.position_m)[0]
-    parts = [line(*apex, *tip, BLUE, 0.8) for tip in tips]
-    parts += [line(*tips[i], *tips[(i + 1) % 4], BLUE, 0.8) for i in range(4)]
+    parts = [line(apex, tip, BLUE, 0.8) for tip in tips]
+    parts += [line(tips[i], tips[(i + 1) % 4], BLUE, 0.8) for i in range(4)]
     return [*parts, text(apex[0] + 4, apex[1] - 4, one.id, size=9, color=BLUE)]
 
 
-def rig_and_points(rig: Rig, points_m: np.ndarray, trails_m: np.ndarray, title: str, size: tuple[int, int] = (760, 420)) -> str:
+def rig_and_points(
+    rig: Rig, points_m: np.ndarray, trails_m: np.ndarray, title: str, size: tuple[int, int] = (760, 420)
+) -> str:
     """The rig's cameras, the points of one frame (n, 3) and all points of the frames before as a faint cloud (m, 3)."""
     width, height = size
     places = np.array([c.position_m for c in rig.cameras])
@@ -95,14 +98,19 @@ def rig_and_points(rig: Rig, points_m: np.ndarray, trails_m: np.ndarray, title: 
 
 
 def points_and_truth(
-    panels: Sequence[tuple[str, np.ndarray, np.ndarray]], truth_m: np.ndarray, title: str, size: tuple[int, int] = (250, 290)
+    panels: Sequence[tuple[str, np.ndarray, np.ndarray]],
+    truth_m: np.ndarray,
+    title: str,
+    size: tuple[int, int] = (250, 290),
 ) -> str:
     """Panels side by side, each a name, points (n, 3) and which of them are ghosts (n,), over the true places (m, 3)."""
     width, height = size
     body = [f"<rect width='{width * len(panels)}' height='{height}' fill='{PAPER}'/>"]
     for k, (name, points_m, ghost) in enumerate(panels):
         view = View(truth_m, (k * width + 12, 40, width - 24, height - 52))
-        body.append(f"<rect x='{k * width + 4}' y='4' width='{width - 8}' height='{height - 8}' fill='none' stroke='{GRID}'/>")
+        body.append(
+            f"<rect x='{k * width + 4}' y='4' width='{width - 8}' height='{height - 8}' fill='none' stroke='{GRID}'/>"
+        )
         body += [dot(x, y, 5, GREEN, hollow=True) for x, y in view(truth_m)]
         inside = (points_m > truth_m.min(axis=0) - 0.3).all(axis=1) & (points_m < truth_m.max(axis=0) + 0.3).all(axis=1)
         for (x, y), bad in zip(view(points_m[inside]), ghost[inside], strict=True):
@@ -125,7 +133,9 @@ def bars(values: dict[str, float], unit: str, title: str, width: int = 760) -> s
     return svg(width, height, body, title)
 
 
-def over_time(frames: Sequence[int], series: dict[str, tuple[Sequence[float], str]], title: str, width: int = 760) -> str:
+def over_time(
+    frames: Sequence[int], series: dict[str, tuple[Sequence[float], str]], title: str, width: int = 760
+) -> str:
     """Counts per frame as thin bars, one row per series."""
     row, left = 54, 120
     height = row * len(series) + 46
@@ -136,7 +146,7 @@ def over_time(frames: Sequence[int], series: dict[str, tuple[Sequence[float], st
         top = max([*values, 1])
         body.append(text(left - 8, base - 14, name, size=11, anchor="end"))
         body.append(text(left - 8, base, f"0 to {top:g}", size=9, color=GREY, anchor="end"))
-        body.append(line(left, base, width - 16, base, GRID))
+        body.append(line((left, base), (width - 16, base), GRID))
         for i, value in enumerate(values):
             if value > 0:
                 tall = (row - 14) * value / top

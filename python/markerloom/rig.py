@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from markerloom import _core
 from markerloom.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 LENS_SIZES = {"ideal": 0, "vicon_radial": 5, "brown_conrady": 8, "fisheye": 4}
 MAX_CAMERA_DISTANCE_M = 1000.0
@@ -102,7 +103,7 @@ class Rig:
         """Check cameras against each other and put them in order."""
         ordered = tuple(sorted(cameras, key=lambda c: natural_key(c.id)))
         notes = list(warnings)
-        for before, after in zip(ordered, ordered[1:], strict=False):
+        for before, after in pairwise(ordered):
             if before.id == after.id:
                 raise InputError(f"two cameras have the id {before.id}: give each camera its own ({source})")
         for camera in ordered:

@@ -100,7 +100,16 @@ def make_scene(name: str, **changes: object) -> Scene:
     if unknown:
         raise InputError(f"a scene has no '{unknown[0]}'; it has {', '.join(sorted(known))}")
     scene = replace(Scene(scene=name), **{**PRESETS[name], **given})  # pyright: ignore[reportArgumentType]
-    for field_name in ("frames", "markers", "cameras", "image_width", "image_height", "focal_px", "rate_hz", "distance_m"):
+    for field_name in (
+        "frames",
+        "markers",
+        "cameras",
+        "image_width",
+        "image_height",
+        "focal_px",
+        "rate_hz",
+        "distance_m",
+    ):
         if not getattr(scene, field_name) > 0:
             raise InputError(f"{field_name} must be positive, not {getattr(scene, field_name)}")
     for field_name in ("sigma_px", "merge_px", "clutter_per_frame", "reflections", "seed"):
@@ -182,7 +191,7 @@ def _labels(scene: Scene) -> list[str]:
     return [f"M{i + 1:03d}" for i in range(scene.markers)]
 
 
-def _markers(scene: Scene, frame: int) -> tuple[np.ndarray, list[tuple[list[float], list[float], float]]]:
+def _markers(scene: Scene, frame: int) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]:
     if scene.scene in ("walk", "dance"):
         time_s = frame / scene.rate_hz
         return _core.body_pose(scene.scene, scene.markers, scene.seed, (0.0, 0.0, 0.0), time_s)
@@ -194,7 +203,7 @@ def _see(
     scene: Scene,
     rig: Rig,
     frame: int,
-    markers: np.ndarray,
+    markers: list[list[float]],
     capsules: list[tuple[list[float], list[float], float]],
     labels: list[str],
     rows: list[tuple[int, int, float, float]],

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from markerloom.errors import FormatError, InputError
@@ -173,15 +172,13 @@ def _fit_brown_conrady(rig: Rig, camera: Camera) -> tuple[list[float], bool, flo
     ideal = rig.normalise(rig.cameras.index(camera), measured)
     good = np.isfinite(ideal).all(axis=1)
     measured, ideal = measured[good], ideal[good]
-    target = (measured - camera.principal_px) / camera.focal_px
-
-    def error(k: np.ndarray) -> np.ndarray:
-        x, y = ideal.T
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-        dx = 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x)
-        dy = k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y
-        return ((np.column_stack([x * radial + dx, y * radial + dy]) - target) * camera.focal_px).ravel()
-
-    fitted = least_squares(error, np.zeros(5), x_scale=0.1)
-    return [float(v) for v in fitted.x], False, float(np.abs(fitted.fun).max())
+    target = (measured - camera.principal_px) / camera.focal_px - ideal
+    x, y = ideal.T
+    r2 = x * x + y * y
+    # The displacement is linear in OpenCV's coefficients.
+    by_x = np.column_stack([x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x * r2**3])
+    by_y = np.column_stack([y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y * r2**3])
+    system = np.vstack([by_x * camera.focal_px[0], by_y * camera.focal_px[1]])
+    wanted = np.concatenate([target[:, 0] * camera.focal_px[0], target[:, 1] * camera.focal_px[1]])
+    fitted = np.linalg.lstsq(system, wanted, rcond=None)[0]
+    return fitted.tolist(), False, float(np.abs(system @ fitted - wanted).max())

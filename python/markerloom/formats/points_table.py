@@ -38,7 +38,7 @@ def of_table(table: pa.Table, path: str | Path) -> Points:
             known[name] = np.nan_to_num(table_file.number(table, name, path), nan=-1).astype(np.int64)
     if "kind" in columns:
         known["kind"] = _kinds(table_file.text(table, "kind"), path)
-    present = np.isfinite(xyz).all(axis=1)
+    present = np.asarray(np.isfinite(xyz).all(axis=1))
     tracked = (table.schema.metadata or {}).get(b"tracked", b"true") != b"false"
     track = table_file.integer(table, "track", path) if "track" in columns else _tracks(frame, known.get("label"))
     points = Points.of(frame, track, xyz, rate_hz=table_file.rate(table), source=str(path), tracked=tracked, **known)

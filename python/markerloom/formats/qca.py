@@ -46,7 +46,10 @@ def _camera(element: Element, path: str | Path) -> Camera:
     p = [number(intrinsic, f"tangentalDistortion{i}", path) for i in (1, 2)]
     return Camera(
         id=element.get("serial") or "",
-        size_px=(pixels("sensorMaxU") - pixels("sensorMinU") + 1, pixels("sensorMaxV") - pixels("sensorMinV") + 1),
+        size_px=(
+            pixels("sensorMaxU") - pixels("sensorMinU") + 1,
+            pixels("sensorMaxV") - pixels("sensorMinV") + 1,
+        ),
         focal_px=(pixels("focalLengthU"), pixels("focalLengthV")),
         principal_px=(pixels("centerPointU"), pixels("centerPointV")),
         rotation=np.diag([1.0, -1.0, -1.0]) @ rotation,

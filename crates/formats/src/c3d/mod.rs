@@ -141,6 +141,11 @@ impl C3d {
         id
     }
 
+    /// Whether the file holds rotation matrices after its points (an extension by Qualisys and Theia).
+    pub fn has_rotations(&self) -> bool {
+        self.number("ROTATION", "USED").is_some_and(|used| used > 0.0)
+    }
+
     /// First number of a parameter.
     pub fn number(&self, group: &str, name: &str) -> Option<f64> {
         match &self.parameter(group, name)?.values {

@@ -40,6 +40,9 @@ pub fn read(all: &[u8]) -> Result<C3d, FormatError> {
         warnings,
     };
     fill_counts(&mut file);
+    if file.has_rotations() {
+        file.warnings.push("its ROTATION data are not read".into());
+    }
     read_data(&mut file, &bytes)?;
     Ok(file)
 }

@@ -7,6 +7,10 @@ const BLOCK: usize = 512;
 
 /// Writes a C3D file.
 pub fn write(file: &C3d) -> Result<Vec<u8>, FormatError> {
+    if file.has_rotations() {
+        let why = "they are not read, so writing the file would lose them".into();
+        return Err(FormatError::Invalid { what: "the ROTATION data", at: 0, why });
+    }
     let mut file = file.clone();
     renew_frame_counts(&mut file);
     // The pointer to the data depends on the length of the section that holds it: its width does not change.
