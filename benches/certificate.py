@@ -20,8 +20,11 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
     "exp61 one": ("exp61", {"hide": "one"}),
     "exp61 quarter": ("exp61", {"hide": "quarter"}),
     "exp61 one, elevation 0": ("exp61", {"hide": "one", "elevation_deg": 0.0}),
+    "exp61 one, arc of 120°": ("exp61", {"hide": "one", "shape": "arc", "elevation_deg": 0.0, "angle_deg": 120.0}),
+    "exp61 one, 0.1 px": ("exp61", {"hide": "one", "sigma_px": 0.1}),
     "8 cameras, 33 markers": ("cloud", {"markers": 33}),
     "8 cameras, 100 markers": ("cloud", {"markers": 100}),
+    "8 cameras, 200 markers": ("cloud", {"markers": 200}),
 }
 
 

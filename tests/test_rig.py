@@ -12,7 +12,7 @@ import markerloom as ml
 from markerloom.formats import calib_toml
 
 POINTS = np.random.default_rng(1).uniform([-1.2, -0.9, 2.0], [1.2, 0.9, 4.0], (200, 3))
-TURN = cv2.Rodrigues(np.array([0.2, -0.3, 0.1]))[0]
+TURN = np.asarray(cv2.Rodrigues(np.array([0.2, -0.3, 0.1]))[0], float)
 
 
 def camera(lens: ml.Lens, name: str = "cam_1") -> ml.Camera:
@@ -87,8 +87,10 @@ def test_written_calibrations_are_read_by_other_programs(tmp_path: Path, lens: m
         np.testing.assert_allclose(pixels[:, :2] / pixels[:, 2:], ideal, atol=1e-6)
         assert one["size"].tolist() == [1280, 1024]
     for i, one in enumerate(anipose_loader(tmp_path / "Calib.toml")):
-        arguments = [np.array(one[k], float) for k in ("rotation", "translation", "matrix", "distortions")]
-        theirs, _ = cv2.projectPoints(POINTS, *arguments)
+        turn, shift, inner, lens_k = (
+            np.array(one[k], float) for k in ("rotation", "translation", "matrix", "distortions")
+        )
+        theirs, _ = cv2.projectPoints(POINTS, turn, shift, inner, lens_k)
         ours = rig.project(i, POINTS)
         inside = np.isfinite(ours).all(axis=1)  # beyond the lens's fold-over OpenCV gives pixels, we give none
         assert inside.mean() > 0.8
@@ -116,7 +118,7 @@ def test_a_vicon_lens_survives_beside_its_opencv_fit(data: Path, tmp_path: Path)
     for i in range(len(rig)):
         np.testing.assert_allclose(again.project(i, point), rig.project(i, point), atol=1e-7)
     lenses = tomllib.loads(path.read_text())["metadata"]["markerloom"]["lenses"]
-    # Vicon's polynomials bend away in the corners of some sensors; OpenCV's cannot follow, and the file says by how much.
+    # Vicon's polynomials bend away in the corners of some sensors; OpenCV's cannot follow, and the file says so.
     errors = sorted(v["fit_error_px"] for v in lenses.values())
     assert errors[0] < 0.1
     assert len(errors) == len(rig)

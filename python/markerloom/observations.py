@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -54,6 +54,11 @@ class Observations:
             first, last = self.frames.min(), self.frames.max()
             raise InputError(f"no frame in {start}:{stop}: the take has frames {first} to {last} ({self.source})")
         return replace(self._keep(keep), frames=frames)
+
+    def of_cameras(self, ids: Sequence[str]) -> Observations:
+        """The observations of some cameras only."""
+        wanted = np.array([i in set(ids) for i in self.camera_ids], bool)
+        return self._keep(wanted[self.camera]) if len(self) else self
 
     def _keep(self, keep: NDArray[np.bool_]) -> Observations:
         optional = {name: column[keep] for name, column in self.optional.items()}
