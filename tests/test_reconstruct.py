@@ -127,6 +127,20 @@ def test_frames_outside_the_take_are_refused(take: ml.SimulatedTake) -> None:
         ml.reconstruct(take.observations, take.rig, frames=(100, 200))
 
 
+def test_impossible_frame_numbers_are_refused(take: ml.SimulatedTake) -> None:
+    frame = take.observations.frame.copy()
+    frame[-1] = 10**12
+    with pytest.raises(ml.InputError, match="several takes"):
+        changed(take, frame=frame, frames=np.zeros(0, np.int64))
+
+
+def test_a_hopelessly_crowded_frame_still_gives_points() -> None:
+    take = ml.simulate(ml.make_scene("cloud", frames=1, markers=200, sigma_px=2.0))
+    points = ml.reconstruct(take.observations, take.rig)
+    assert points.report["certified_frames"] == 0.0
+    assert score(take, points)["accuracy_3d"] > 0.8
+
+
 def test_frame_numbers_are_kept(take: ml.SimulatedTake) -> None:
     points = ml.reconstruct(take.observations, take.rig, frames=(5, 8))
     assert np.unique(points.frame).tolist() == [5, 6, 7]

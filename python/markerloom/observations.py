@@ -38,7 +38,7 @@ class Observations:
     def __post_init__(self) -> None:
         """Fill in the frame numbers where the reader did not know them."""
         if len(self.frames) == 0 and len(self.frame) > 0:
-            object.__setattr__(self, "frames", np.arange(self.frame.min(), self.frame.max() + 1))
+            object.__setattr__(self, "frames", all_frames(self.frame, self.source))
 
     def __len__(self) -> int:
         """Return the number of centroids."""
@@ -66,6 +66,17 @@ class Observations:
             self, frame=self.frame[keep], camera=self.camera[keep], pixel=self.pixel[keep], optional=optional
         )
         return replace(kept, frames=self.frames)
+
+
+def all_frames(frame: Ints, source: str) -> Ints:
+    """Every frame number from the first to the last; refuses numbers that cannot be those of one take."""
+    first, last, filled = int(frame.min()), int(frame.max()), len(np.unique(frame))
+    if last - first > 1_000_000 + 100 * filled:
+        raise InputError(
+            f"frames run from {first} to {last}, but only {filled} of them hold anything: "
+            f"the frame numbers are damaged or belong to several takes ({source})"
+        )
+    return np.arange(first, last + 1)
 
 
 @dataclass(frozen=True)

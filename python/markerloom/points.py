@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from markerloom.observations import all_frames
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -47,7 +49,7 @@ class Points:
     def __post_init__(self) -> None:
         """Fill in the frame numbers where the source did not know them."""
         if len(self.frames) == 0 and len(self.frame) > 0:
-            object.__setattr__(self, "frames", np.arange(self.frame.min(), self.frame.max() + 1))
+            object.__setattr__(self, "frames", all_frames(self.frame, self.source))
 
     @staticmethod
     def of(frame: Ints, track: Ints, xyz_mm: Array, **known: object) -> Points:

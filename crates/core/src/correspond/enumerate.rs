@@ -26,20 +26,22 @@ const LINEAR_LIMIT: f64 = 0.1;
 /// Up to this many views that fit together, all their subsets are listed.
 pub const FULL_VIEWS: usize = 8;
 
+/// Search steps of each pair after the limit of the frame.
+const STEPS_BEYOND_LIMIT: usize = 100;
 /// Search steps at most around one grown group.
 const SOLID_STEPS: usize = 20_000;
 
 /// Limits of the enumeration.
 #[derive(Clone, Copy, Debug)]
 pub struct EnumerateOptions {
-    /// Search steps before the enumeration of a frame stops and the frame counts as not certified. Too small loses
-    /// certificates in crowded frames, too large spends seconds on one frame.
+    /// Search steps of a frame. Beyond, each pair that is left gets a few steps more, and the frame is not certified. Too
+    /// small loses certificates in crowded frames, too large spends seconds on one frame.
     pub step_limit: usize,
 }
 
 impl Default for EnumerateOptions {
     fn default() -> Self {
-        Self { step_limit: 2_000_000 }
+        Self { step_limit: 1_000_000 }
     }
 }
 
@@ -58,7 +60,7 @@ pub struct Candidates {
     pub steps: usize,
     /// Whether all groups are listed.
     pub complete: bool,
-    /// Whether the search stopped at a limit.
+    /// Whether a limit cut something off.
     pub truncated: bool,
 }
 
@@ -103,6 +105,7 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
         members: Vec::with_capacity(Local::CAPACITY),
         ridge: 12.0 / model.region.diagonal().powi(2),
         constant: constant(scene),
+        step_limit: 0,
         solid_step_limit: 0,
     };
     let solids = if scene.rig.cameras.len() > FULL_VIEWS { solid::grow(scene, frame, graph) } else { Vec::new() };
@@ -117,9 +120,6 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
                 continue;
             }
             search.grow_pair(a, edge.to, edge.point);
-            if search.found.truncated {
-                return search.found;
-            }
         }
     }
     search.found
@@ -196,6 +196,7 @@ struct Search<'a> {
     members: Vec<u8>,
     ridge: f64,
     constant: f64,
+    step_limit: usize,
     solid_step_limit: usize,
 }
 
@@ -209,6 +210,7 @@ struct Sums {
 
 impl Search<'_> {
     fn grow_pair(&mut self, a: u32, b: u32, at: Vector3<f64>) {
+        self.step_limit = self.options.step_limit.max(self.found.steps + STEPS_BEYOND_LIMIT);
         self.local.clear(at);
         self.local.push(self.frame, a);
         self.local.push(self.frame, b);
@@ -347,7 +349,7 @@ impl Search<'_> {
             let next = rest.trailing_zeros() as usize;
             rest &= rest - 1;
             self.found.steps += 1;
-            if self.found.steps > self.options.step_limit {
+            if self.found.steps > self.step_limit {
                 (self.found.complete, self.found.truncated) = (false, true);
                 return;
             }
