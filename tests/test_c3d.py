@@ -136,6 +136,14 @@ def test_a_c3d_without_a_rate_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "a.c3d").exists()
 
 
+def test_a_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    example(frames=200).save(tmp_path / "a.c3d")
+    whole = (tmp_path / "a.c3d").read_bytes()
+    (tmp_path / "a.c3d").write_bytes(whole[: len(whole) - 6000])
+    with pytest.raises(ml.FormatError, match="announces 200 frames and holds"):
+        ml.read_points(tmp_path / "a.c3d")
+
+
 def test_rotation_data_is_not_silently_dropped(data: Path) -> None:
     file = c3d_file.read_file(data / "c3d" / "ezc3d" / "C3DRotationExample.c3d")
     assert any("ROTATION" in w for w in file.warnings)

@@ -23,11 +23,15 @@ CHUNK_FLOATS = 255 * 62
 
 
 def read_file(path: str | Path) -> _core.C3d:
-    """The whole file, as it is."""
+    """The whole file, as it is; a file whose data are cut off is refused."""
     try:
-        return _core.C3d.read(read_bytes(path))
+        file = _core.C3d.read(read_bytes(path))
     except BytesError as error:
         raise FormatError(path, str(error)) from None
+    cut = [w for w in file.warnings if w.startswith("the file announces")]
+    if cut:
+        raise FormatError(path, f"{cut[0]}: it is cut off; copy it again from its source")
+    return file
 
 
 def write_file(file: _core.C3d, path: str | Path) -> None:

@@ -10,7 +10,7 @@
 //! by adding dots of later cameras, so each is met once; the residuals are linearised once at the pair's point (and
 //! again at the triple's when it moved far), after which a step of the search is a sum and a 3×3 solution.
 //!
-//! A marker that n cameras see has 2ⁿ subsets. Groups of more than [`FULL_VIEWS`] views are grown first (`solid.rs`),
+//! A marker that n cameras see has 2ⁿ subsets. Groups of more than [`full_views`] views are grown first (`solid.rs`),
 //! and of their subsets only the largest are listed; a frame with such groups is not certified.
 
 use super::frame::PreparedFrame;
@@ -23,8 +23,10 @@ use nalgebra::Vector3;
 /// Relinearise when the second-order error of the residual could exceed this (standard deviations).
 const LINEAR_LIMIT: f64 = 0.1;
 
-/// Up to this many views that fit together, all their subsets are listed.
-pub const FULL_VIEWS: usize = 8;
+/// Up to this many views that fit together, all their subsets are listed: 8, and more where the frame has few dots.
+pub fn full_views(dots: usize) -> usize {
+    8 + (1200 / dots.max(1)).checked_ilog2().unwrap_or(0).min(3) as usize
+}
 
 /// Search steps of each pair after the limit of the frame.
 const STEPS_BEYOND_LIMIT: usize = 100;
@@ -108,7 +110,8 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
         step_limit: 0,
         solid_step_limit: 0,
     };
-    let solids = if scene.rig.cameras.len() > FULL_VIEWS { solid::grow(scene, frame, graph) } else { Vec::new() };
+    let many = scene.rig.cameras.len() > full_views(frame.len());
+    let solids = if many { solid::grow(scene, frame, graph) } else { Vec::new() };
     let mut in_solid = vec![false; frame.len()];
     for group in &solids {
         group.dots.iter().for_each(|&z| in_solid[z as usize] = true);
@@ -240,7 +243,7 @@ impl Search<'_> {
             return false;
         }
         let views = self.graph.common(a, b).fold(0u128, |seen, z| seen | 1 << self.frame.sights[z as usize].camera);
-        views.count_ones() as usize + 2 > FULL_VIEWS
+        views.count_ones() as usize + 2 > full_views(self.frame.len())
     }
 
     /// Lists a grown group with its alternatives: any fitting dot in each camera; dots that are not certain may be left

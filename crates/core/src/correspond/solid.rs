@@ -1,10 +1,10 @@
 //! Groups of many views, grown greedily: for rigs with so many cameras that listing all subsets is out of the question.
 //!
 //! From the pair that most cameras support, the dot that raises the residual least is added while the group stays within
-//! its gate. With more than [`FULL_VIEWS`] views such a group is beyond doubt as a whole; which of its dots truly belong
+//! its gate. With more than [`full_views`] views such a group is beyond doubt as a whole; which of its dots truly belong
 //! to it is left to the packing, which sees the group with its alternatives and without those of its dots that others may claim.
 
-use super::enumerate::FULL_VIEWS;
+use super::enumerate::full_views;
 use super::frame::PreparedFrame;
 use super::pairs::PairGraph;
 use super::scene::Scene;
@@ -29,7 +29,7 @@ pub struct Solid {
     pub point: Vector3<f64>,
 }
 
-/// Grows disjoint groups of more than [`FULL_VIEWS`] views.
+/// Grows disjoint groups of more than [`full_views`] views.
 pub fn grow(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph) -> Vec<Solid> {
     let mut taken = vec![false; frame.len()];
     let mut found = Vec::new();
@@ -65,7 +65,7 @@ fn best_partner(frame: &PreparedFrame, graph: &PairGraph, taken: &[bool], a: u32
         let common = graph.common(a, edge.to).filter(|&z| !taken[z as usize]);
         let cameras = common.fold(0u128, |seen, z| seen | 1 << frame.sights[z as usize].camera);
         let support = cameras.count_ones() as usize;
-        if support + 2 > FULL_VIEWS && best.is_none_or(|(most, ..)| support > most) {
+        if support + 2 > full_views(frame.len()) && best.is_none_or(|(most, ..)| support > most) {
             best = Some((support, edge.to, edge.point));
         }
     }
@@ -97,7 +97,7 @@ fn grow_from(
         point += best.2;
         rest.retain(|&z| camera(z) != camera(best.1));
     }
-    if dots.len() <= FULL_VIEWS {
+    if dots.len() <= full_views(frame.len()) {
         return None;
     }
     gather(scene, frame, taken, dots, point)
@@ -125,7 +125,7 @@ fn gather(
             })
             .collect();
     }
-    if dots.len() <= FULL_VIEWS {
+    if dots.len() <= full_views(frame.len()) {
         return None;
     }
     let fitting = (0..frame.len() as u32).filter(|&z| error2(z, &point) <= gate).collect();
