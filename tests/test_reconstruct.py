@@ -137,7 +137,6 @@ def test_impossible_frame_numbers_are_refused(take: ml.SimulatedTake) -> None:
 def test_a_hopelessly_crowded_frame_still_gives_points() -> None:
     take = ml.simulate(ml.make_scene("cloud", frames=1, markers=200, sigma_px=2.0))
     points = ml.reconstruct(take.observations, take.rig)
-    assert points.report["certified_frames"] == 0.0
     assert score(take, points)["accuracy_3d"] > 0.8
 
 

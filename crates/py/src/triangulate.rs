@@ -22,7 +22,7 @@ pub fn triangulate<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let mut sights = Vec::new();
     for (&index, pixel) in cameras.iter().zip(&pixels) {
-        let camera = rig.inner.cameras.get(index).ok_or_else(|| RigError::new_err("no such camera"))?;
+        let camera = rig.camera(index)?;
         let sight = Sight::new(camera, index, Vector2::from(*pixel), sigma_px);
         sights.push(sight.ok_or_else(|| RigError::new_err("a pixel lies where the lens model has folded over"))?);
     }

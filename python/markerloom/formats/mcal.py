@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from markerloom.errors import FormatError
-from markerloom.formats.xml_file import number, parse
+from markerloom.formats.xml_file import child, number, parse
 from markerloom.rig import Camera, Lens, Rig
 
 Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -28,24 +28,18 @@ def read(path: str | Path) -> Rig:
     return Rig.of(cameras, source=str(path))
 
 
-def _child(element: Element, name: str, path: str | Path) -> Element:
-    found = element.find(name)
-    if found is None:
-        raise FormatError(path, f"no <{name}>", where=f"camera {element.get('Serial')}")
-    return found
-
-
 def _camera(element: Element, path: str | Path) -> Camera:
-    attributes = _child(element, "Attributes", path)
-    lens = _child(element, "IntrinsicStandardCameraModel", path)
-    pose = _child(element, "Extrinsic", path)
+    owner = f"camera {element.get('Serial')}"
+    attributes = child(element, "Attributes", path, owner=owner)
+    lens = child(element, "IntrinsicStandardCameraModel", path, owner=owner)
+    pose = child(element, "Extrinsic", path, owner=owner)
     world_from_camera = np.array([number(pose, f"OrientMatrix{i}", path) for i in range(9)]).reshape(3, 3)
     position = np.array([number(pose, axis, path) for axis in "XYZ"])
     k = [number(lens, f"k{i}", path) for i in (1, 2, 3)]
     tangential = (number(lens, "TangentialX", path), number(lens, "TangentialY", path))
     return Camera(
         id=element.get("Serial") or "",
-        name=_child(element, "Properties", path).get("CameraID") or "",
+        name=child(element, "Properties", path, owner=owner).get("CameraID") or "",
         size_px=(number(attributes, "ImagerPixelWidth", path), number(attributes, "ImagerPixelHeight", path)),
         focal_px=(number(lens, "HorizontalFocalLength", path), number(lens, "VerticalFocalLength", path)),
         principal_px=(number(lens, "LensCenterX", path), number(lens, "LensCenterY", path)),

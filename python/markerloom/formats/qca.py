@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from markerloom.errors import FormatError
-from markerloom.formats.xml_file import number, parse
+from markerloom.formats.xml_file import child, number, parse
 from markerloom.rig import Camera, Lens, Rig
 
 SUBPIXELS = 64.0
@@ -28,15 +28,12 @@ def read(path: str | Path) -> Rig:
     return Rig.of(cameras, source=str(path))
 
 
-def _child(element: Element, name: str, path: str | Path) -> Element:
-    found = element.find(name)
-    if found is None:
-        raise FormatError(path, f"no <{name}>", where=f"camera {element.get('serial')}")
-    return found
-
-
 def _camera(element: Element, path: str | Path) -> Camera:
-    transform, intrinsic = _child(element, "transform", path), _child(element, "intrinsic", path)
+    owner = f"camera {element.get('serial')}"
+    transform, intrinsic = (
+        child(element, "transform", path, owner=owner),
+        child(element, "intrinsic", path, owner=owner),
+    )
 
     def pixels(name: str) -> float:
         return number(intrinsic, name, path) / SUBPIXELS

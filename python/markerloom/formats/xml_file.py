@@ -29,6 +29,14 @@ def _plain(text: str) -> str:
     return text[start + 2 :].lstrip() if text.lstrip().startswith("<?xml") and start >= 0 else text
 
 
+def child(element: ElementTree.Element, name: str, path: str | Path, *, owner: str) -> ElementTree.Element:
+    """The first child of a name; ``owner`` says whose it is in the error."""
+    found = element.find(name)
+    if found is None:
+        raise FormatError(path, f"no <{name}>", where=owner)
+    return found
+
+
 def number(element: ElementTree.Element, name: str, path: str | Path) -> float:
     """A numeric attribute."""
     return numbers(element, name, path, 1)[0]
