@@ -106,3 +106,8 @@ def test_the_demo_writes_its_files_the_same_every_time(tmp_path: Path) -> None:
     page = (tmp_path / "a" / "report.html").read_text()
     assert page.count("<svg") == 4
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_every_verb_has_its_twin_in_python() -> None:
+    for verb in VERBS:
+        assert callable(getattr(ml, verb)), verb

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from markerloom import formats
+from markerloom.bench import bench
+from markerloom.convert import convert
+from markerloom.demo import Demo, demo
 from markerloom.evaluate import (
     Truth,
     evaluate,
@@ -24,6 +27,7 @@ from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
     "Camera",
+    "Demo",
     "Lens",
     "Mask",
     "Observations",
@@ -34,7 +38,9 @@ __all__ = [
     "SimulatedTake",
     "Triangulated",
     "Truth",
+    "bench",
     "convert",
+    "demo",
     "evaluate",
     "inspect",
     "make_scene",
@@ -57,10 +63,3 @@ __all__ = [
 def read_calibration(path: str | Path, *, units: str = "m") -> Rig:
     """Read a rig from .xcp, Calib.toml, .qca.txt or .mcal; ``units`` of lengths in a Calib.toml."""
     return formats.read_calibration(path, units=units)
-
-
-def convert(source: str | Path, target: str | Path, **options: object) -> None:
-    """Convert points, observations or calibrations between formats; see ``markerloom convert --help``."""
-    from markerloom.convert import convert as run
-
-    run(source, target, **options)  # pyright: ignore[reportArgumentType]

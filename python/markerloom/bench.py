@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -60,7 +61,7 @@ def _rows() -> list[Row]:
 ROWS = {row.name: row for row in _rows()}
 
 
-def choose(names: list[str]) -> list[Row]:
+def choose(names: Sequence[str]) -> list[Row]:
     """Rows by name; all without names."""
     unknown = [n for n in names if n not in ROWS]
     if unknown:
@@ -102,6 +103,11 @@ def _one(job: tuple[Row, int, int]) -> dict[str, float]:
         "certified": points.report["certified_frames"],
         "ece": score["confidence_ece"],
     }
+
+
+def bench(names: Sequence[str] = (), *, seeds: int = 20, frames: int = 200) -> list[dict[str, Any]]:
+    """Measure rows of docs/results.md by name; all without names."""
+    return [measure(row, seeds=seeds, frames=frames) for row in choose(names)]
 
 
 HEADER = (

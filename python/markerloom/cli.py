@@ -14,11 +14,15 @@ from rich.console import Console
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from markerloom import bench as benchmarks
-from markerloom import demo as demonstration
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.bench import HEADER as BENCH_HEADER
+from markerloom.bench import choose, measure
+from markerloom.bench import line as bench_line
 from markerloom.convert import convert as run_convert
+from markerloom.demo import HEADER as DEMO_HEADER
+from markerloom.demo import demo as run_demo
+from markerloom.demo import summary
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
 from markerloom.evaluate import evaluate as run_evaluate
@@ -99,6 +103,7 @@ def demo(
     folder: Annotated[Path, typer.Option("-o", "--output", help="Where everything goes.")] = Path("out/demo"),
     frames: Annotated[int, typer.Option(help="Frames to simulate.", min=1)] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the simulation.", min=0)] = 0,
+    report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a capture, reconstruct it with three methods, and write a report with pictures.
@@ -106,15 +111,16 @@ def demo(
     Example: markerloom demo -o out/demo
     """
     with progress_bar("demo", quiet) as progress:
-        made = demonstration.run(folder, frames=frames, seed=seed, progress=progress)
-    table = Table(*demonstration.HEADER, "time / frame")
-    for row, answer in zip(demonstration.summary(made.scores), made.answers.values(), strict=True):
+        made = run_demo(folder, frames=frames, seed=seed, progress=progress)
+    table = Table(*DEMO_HEADER, "time / frame")
+    for row, answer in zip(summary(made.scores), made.answers.values(), strict=True):
         table.add_row(*row, f"{answer.report['timing']['ms_per_frame']['mean']:.2f} ms")
     if not quiet:
         out.print(table)
     for name, path in made.files.items():
         say(quiet, f"{name:8} {path}")
     say(quiet, f"Open {made.files['page']} in a browser.")
+    finish(report, [], {"frames": frames, "seed": seed}, {"frames": frames, "methods": made.scores})
 
 
 @app.command()
@@ -196,14 +202,14 @@ def reconstruct(
     if assignments is not None:
         table_file.write(points.assignments, assignments)
     warn(quiet, points.report["warnings"])
-    summary = points.report
+    result = points.report
     say(
         quiet,
-        f"{summary['frames']} frames, {summary['points_per_frame']:.2f} points per frame, "
-        f"{summary['rays_mean']:.2f} rays per point, residual {summary['residual_px']['median']:.3f} px, "
-        f"{100 * summary['certified_frames']:.1f} % of frames certified → {output}",
+        f"{result['frames']} frames, {result['points_per_frame']:.2f} points per frame, "
+        f"{result['rays_mean']:.2f} rays per point, residual {result['residual_px']['median']:.3f} px, "
+        f"{100 * result['certified_frames']:.1f} % of frames certified → {output}",
     )
-    finish(report, [observations, calibration], options, summary)
+    finish(report, [observations, calibration], options, result)
 
 
 def _with_rate(take: Any, rate_hz: float) -> Any:
@@ -334,14 +340,14 @@ def bench(
 
     Example: markerloom bench one quarter --seeds 20 --frames 200
     """
-    rows = benchmarks.choose(scenes or [])
+    rows = choose(scenes or [])
     printed: list[dict[str, Any]] = []
-    say(quiet, benchmarks.HEADER)
+    say(quiet, BENCH_HEADER)
     for row in rows:
         with progress_bar(row.name, quiet) as progress:
-            result = benchmarks.measure(row, seeds=seeds, frames=frames, progress=progress)
+            result = measure(row, seeds=seeds, frames=frames, progress=progress)
         printed.append(result)
-        say(quiet, benchmarks.line(result))
+        say(quiet, bench_line(result))
     finish(
         report,
         [],

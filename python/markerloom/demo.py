@@ -29,7 +29,7 @@ class Demo:
     files: dict[str, Path]
 
 
-def run(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Progress | None = None) -> Demo:
+def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Progress | None = None) -> Demo:
     """Simulate a dancer, reconstruct with all three methods, evaluate, and write everything into a folder."""
     folder = Path(folder)
     take = simulate(make_scene("dance", frames=frames, seed=seed), progress=progress)

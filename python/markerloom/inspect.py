@@ -18,6 +18,8 @@ from markerloom.rig import Rig
 
 def inspect(path: str | Path, *, calibration_units: str = "m") -> dict[str, Any]:
     """Describe a file by what is in it; the first key, ``content``, says what it is."""
+    if Path(path).is_dir():
+        raise InputError(f"{path} is a folder: name a file in it")
     kind = formats.ending(path)
     if kind in formats.CALIBRATIONS:
         return _rig(formats.read_calibration(path, units=calibration_units))
