@@ -218,6 +218,18 @@ fn moving_the_world_moves_the_points_and_changes_no_group() {
 }
 
 #[test]
+fn two_cameras_on_a_bar_see_what_is_far_before_them() {
+    let eye = |i: usize, x: f64| {
+        rigs::looking_at(i, Vector3::new(x, -2.0, 0.0), Vector3::new(0.1 * x, 0.0, 0.0), [1280.0, 1024.0], 1200.0)
+    };
+    let what =
+        Imperfections { sigma_px: 0.1, hide: Hide::Nothing, merge_px: 0.0, clutter_per_frame: 0.0, reflections: 0 };
+    let take = simulate(Rig { cameras: vec![eye(0, -0.25), eye(1, 0.25)] }, 8, 20, &what);
+    let (found, _) = take.score(&take.solve(Method::Optimal), 0.01);
+    assert!(found > 0.95, "{found}");
+}
+
+#[test]
 fn rigs_that_cannot_give_a_depth_are_refused_by_name() {
     let take = exp61(2, 1.0, Hide::Nothing);
     let one = Rig { cameras: take.rig.cameras[..1].to_vec() };

@@ -36,6 +36,7 @@ impl PyC3d {
             points: Vec::new(),
             analog_per_frame: 0,
             analog: Vec::new(),
+            rotations: Vec::new(),
             warnings: Vec::new(),
         };
         Self { inner }
@@ -106,6 +107,13 @@ impl PyC3d {
         self.inner.analog.clone().into_pyarray(py).reshape([self.inner.n_frames, self.inner.analog_per_frame])
     }
 
+    /// Rotations (`n_frames`, per frame, 17): 4×4 matrices, column by column, and a reliability.
+    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+        let frames = self.inner.n_frames.max(1);
+        let per_frame = self.inner.rotations.len() / 17 / frames;
+        self.inner.rotations.clone().into_pyarray(py).reshape([frames, per_frame, 17])
+    }
+
     /// Replaces all points; `words` are residual words (−1 = absent). The file becomes a float file.
     fn set_points(&mut self, coordinates: PyReadonlyArray3<'_, f64>, words: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let (xyz, words) = (coordinates.as_array(), words.as_array());
@@ -113,8 +121,10 @@ impl PyC3d {
         if xyz.dim() != (frames, points, 3) {
             return Err(BytesError::new_err("coordinates and residual words differ in shape"));
         }
-        if frames != self.inner.n_frames && self.inner.analog_per_frame > 0 {
-            return Err(BytesError::new_err("the number of frames cannot change in a file with analog data"));
+        if frames != self.inner.n_frames && (self.inner.analog_per_frame > 0 || !self.inner.rotations.is_empty()) {
+            return Err(BytesError::new_err(
+                "the number of frames cannot change in a file with analog or rotation data",
+            ));
         }
         (self.inner.n_frames, self.inner.n_points) = (frames, points);
         self.inner.storage = Storage::Float;

@@ -16,7 +16,7 @@ use super::optimal::{OptimalOptions, choose};
 use super::scene::{Aabb, Reflection, Scene, SceneModel};
 use crate::camera::Rig;
 use crate::sight::Sight;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Options of the estimation.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +48,7 @@ const SMALLEST_ANGLE_DEG: f64 = 5.0;
 /// The box of all places that two cameras see under [`SMALLEST_ANGLE_DEG`] or more; `None` if there is no such place.
 pub fn visible_region(rig: &Rig) -> Option<Aabb> {
     let centers = Aabb::around(rig.cameras.iter().map(|c| c.position_m))?;
-    let reach = 3.0 * centers.diagonal();
+    let reach = reach_of(rig, &centers);
     let mut seen = Vec::new();
     for (i, camera) in rig.cameras.iter().enumerate() {
         for cell in 0..81 {
@@ -70,6 +70,23 @@ pub fn visible_region(rig: &Rig) -> Option<Aabb> {
     }
     let found = Aabb::around(seen)?;
     Some(found.grown(Vector3::repeat(0.05 * found.diagonal())))
+}
+
+/// How far from a camera markers may be: across the rig, and on to where the cameras look. Beyond twelve times their
+/// spread no two cameras see a place under [`SMALLEST_ANGLE_DEG`].
+fn reach_of(rig: &Rig, centers: &Aabb) -> f64 {
+    let spread = centers.diagonal();
+    let mut matrix = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for camera in &rig.cameras {
+        let axis = camera.camera_from_world.row(2).transpose();
+        let across = Matrix3::identity() - axis * axis.transpose();
+        matrix += across;
+        right += across * camera.position_m;
+    }
+    let middle = 0.5 * (centers.low + centers.high);
+    let looked_at = matrix.try_inverse().map_or(f64::INFINITY, |inverse| (inverse * right - middle).norm());
+    3.0 * spread + (2.0 * looked_at).min(12.0 * spread)
 }
 
 /// Estimates the prior of a take from a sample of its frames.

@@ -96,6 +96,9 @@ pub struct C3d {
     pub analog_per_frame: usize,
     /// Raw analog values, frame by frame.
     pub analog: Vec<f32>,
+    /// Rotation matrices of an extension (C-Motion; written by Theia and Qualisys): per frame and segment 16 numbers and
+    /// a reliability, in a data section of their own that ROTATION:DATA_START points to.
+    pub rotations: Vec<f32>,
     /// What was odd about the file but did not prevent reading it.
     pub warnings: Vec<String>,
 }
@@ -139,11 +142,6 @@ impl C3d {
             Record { name: name.as_bytes().to_vec(), group: id, locked: false, description: Vec::new(), content: None };
         self.records.push(record);
         id
-    }
-
-    /// Whether the file holds rotation matrices after its points (an extension by Qualisys and Theia).
-    pub fn has_rotations(&self) -> bool {
-        self.number("ROTATION", "USED").is_some_and(|used| used > 0.0)
     }
 
     /// First number of a parameter.
@@ -209,6 +207,7 @@ mod tests {
             points: (0..n_frames * n_points).map(|i| [i as f32, 2.0, -3.0, 513.0]).collect(),
             analog_per_frame: 2,
             analog: (0..2 * n_frames).map(|i| i as f32).collect(),
+            rotations: Vec::new(),
             warnings: Vec::new(),
         };
         let scale = if storage == Storage::Float { -0.02 } else { 0.1 };

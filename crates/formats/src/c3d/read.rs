@@ -37,13 +37,15 @@ pub fn read(all: &[u8]) -> Result<C3d, FormatError> {
         points: Vec::new(),
         analog_per_frame: 0,
         analog: Vec::new(),
+        rotations: Vec::new(),
         warnings,
     };
     fill_counts(&mut file);
-    if file.has_rotations() {
-        file.warnings.push("its ROTATION data are not read".into());
-    }
     read_data(&mut file, &bytes)?;
+    read_rotations(&mut file, &bytes)?;
+    if file.n_points == 0 && file.analog_per_frame == 0 && file.rotations.is_empty() {
+        file.n_frames = 0; // a number of frames that no data bear out
+    }
     Ok(file)
 }
 
@@ -187,7 +189,6 @@ fn read_data(file: &mut C3d, bytes: &Bytes) -> Result<(), FormatError> {
     let width = if file.storage == Storage::Float { 4 } else { 2 };
     let frame_size = width * (4 * file.n_points + file.analog_per_frame);
     if frame_size == 0 {
-        file.n_frames = 0;
         return Ok(());
     }
     let available = bytes.all.len().saturating_sub(start) / frame_size;
@@ -215,5 +216,19 @@ fn read_data(file: &mut C3d, bytes: &Bytes) -> Result<(), FormatError> {
             file.analog.push(number(at + i * width)?);
         }
     }
+    Ok(())
+}
+
+/// Numbers of one rotation: a 4×4 matrix and its reliability.
+const ROTATION_NUMBERS: usize = 17;
+
+fn read_rotations(file: &mut C3d, bytes: &Bytes) -> Result<(), FormatError> {
+    let count = |name: &str| file.number("ROTATION", name).filter(|v| *v >= 1.0).map(|v| v as usize);
+    let (Some(used), Some(block)) = (count("USED"), count("DATA_START")) else { return Ok(()) };
+    let per_frame = used.saturating_mul(count("RATIO").unwrap_or(1)).saturating_mul(ROTATION_NUMBERS);
+    let total = per_frame.saturating_mul(file.n_frames);
+    let start = (block - 1) * BLOCK;
+    bytes.slice(start, total.saturating_mul(4), "the rotations")?;
+    file.rotations = (0..total).map(|i| bytes.f32(start + 4 * i, "the rotations")).collect::<Result<_, _>>()?;
     Ok(())
 }

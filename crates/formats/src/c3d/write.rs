@@ -7,28 +7,35 @@ const BLOCK: usize = 512;
 
 /// Writes a C3D file.
 pub fn write(file: &C3d) -> Result<Vec<u8>, FormatError> {
-    if file.has_rotations() {
-        let why = "they are not read, so writing the file would lose them".into();
-        return Err(FormatError::Invalid { what: "the ROTATION data", at: 0, why });
-    }
     let mut file = file.clone();
     renew_frame_counts(&mut file);
-    // The pointer to the data depends on the length of the section that holds it: its width does not change.
-    let has_pointer = file.parameter("POINT", "DATA_START").is_some();
-    let sized = parameter_section(&file.records)?;
-    let data_block = 1 + sized.len() / BLOCK + 1;
-    if has_pointer {
-        let values = Values::Int(vec![(data_block as u16).cast_signed()]);
-        file.set_parameter("POINT", "DATA_START", Content { dimensions: Vec::new(), values });
+    let mut data = Vec::new();
+    write_data(&file, &mut data);
+    fill_block(&mut data);
+    // Pointers depend on the length of the section that holds them: their own width does not change.
+    let data_block = 1 + parameter_section(&file.records)?.len() / BLOCK + 1;
+    point_to(&mut file, "POINT", data_block);
+    if !file.rotations.is_empty() {
+        point_to(&mut file, "ROTATION", data_block + data.len() / BLOCK);
+        data.extend(file.rotations.iter().flat_map(|v| v.to_le_bytes()));
+        fill_block(&mut data);
     }
-    let section = parameter_section(&file.records)?;
-    let data_block = 1 + section.len() / BLOCK + 1;
     let mut out = header(&file, data_block);
-    out.extend(section);
-    write_data(&file, &mut out);
-    let padding = (BLOCK - out.len() % BLOCK) % BLOCK;
-    out.extend(std::iter::repeat_n(0, padding));
+    out.extend(parameter_section(&file.records)?);
+    out.extend(data);
     Ok(out)
+}
+
+fn fill_block(bytes: &mut Vec<u8>) {
+    bytes.resize(bytes.len().div_ceil(BLOCK) * BLOCK, 0);
+}
+
+/// Renews a group's pointer to its data, where it has one.
+fn point_to(file: &mut C3d, group: &str, block: usize) {
+    if file.parameter(group, "DATA_START").is_some() {
+        let values = Values::Int(vec![(block as u16).cast_signed()]);
+        file.set_parameter(group, "DATA_START", Content { dimensions: Vec::new(), values });
+    }
 }
 
 fn renew_frame_counts(file: &mut C3d) {
