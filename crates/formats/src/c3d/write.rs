@@ -43,9 +43,11 @@ fn renew_frame_counts(file: &mut C3d) {
     let words = |v: usize| Values::Int(vec![(v as u16).cast_signed(), ((v >> 16) as u16).cast_signed()]);
     let has_fields = file.parameter("TRIAL", "ACTUAL_START_FIELD").is_some();
     if last > 65_535 || has_fields {
-        let content = |v: usize| Content { dimensions: vec![2], values: words(v) };
-        file.set_parameter("TRIAL", "ACTUAL_START_FIELD", content(file.first_frame as usize));
-        file.set_parameter("TRIAL", "ACTUAL_END_FIELD", content(last));
+        for (name, frame) in [("ACTUAL_START_FIELD", file.first_frame as usize), ("ACTUAL_END_FIELD", last)] {
+            let known = file.parameter("TRIAL", name).filter(|c| c.values.len() == 2);
+            let dimensions = known.map_or_else(|| vec![2], |c| c.dimensions.clone());
+            file.set_parameter("TRIAL", name, Content { dimensions, values: words(frame) });
+        }
     }
     if let Some(Content { values, dimensions }) = file.parameter("POINT", "FRAMES").cloned() {
         let values = match values {
