@@ -302,11 +302,14 @@ impl Search<'_> {
         let frame = self.frame;
         let widening = self.scene.model.tail.map_or(1.0, |tail| tail.scale * tail.scale);
         let gate = self.scene.group_gates[3.min(self.scene.group_gates.len() - 1)] * widening;
-        let (of_a, of_b) = (&self.graph.later[a as usize], &self.graph.later[b as usize]);
-        let (mut i, mut j) = (of_a.partition_point(|e| e.to <= b), 0);
+        let [of_a, of_b] = [a, b].map(|z| {
+            let all = &self.graph.neighbours[z as usize];
+            &all[all.partition_point(|&other| other <= b)..]
+        });
+        let (mut i, mut j) = (0, 0);
         while i < of_a.len() && j < of_b.len() {
-            let dot = of_a[i].to;
-            match dot.cmp(&of_b[j].to) {
+            let dot = of_a[i];
+            match dot.cmp(&of_b[j]) {
                 std::cmp::Ordering::Less => i += 1,
                 std::cmp::Ordering::Greater => j += 1,
                 std::cmp::Ordering::Equal => {

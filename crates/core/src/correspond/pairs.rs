@@ -73,9 +73,9 @@ impl PairGraph {
         graph
     }
 
-    /// Whether two dots match; `a` must be the earlier one.
+    /// Whether two dots match.
     pub fn linked(&self, a: u32, b: u32) -> bool {
-        self.later[a as usize].binary_search_by_key(&b, |e| e.to).is_ok()
+        self.neighbours[a as usize].binary_search(&b).is_ok()
     }
 
     /// Dots that match both of two dots, in ascending order.
