@@ -74,6 +74,18 @@ def test_nan_pixels_and_duplicates_are_counted(take: ml.SimulatedTake) -> None:
     assert "out of order" in warnings
 
 
+def test_masked_dots_are_counted_and_not_used(take: ml.SimulatedTake) -> None:
+    left_half = ml.Mask((320.0, 480.0), (2, 1), (True, False))
+    first = replace(take.rig.cameras[0], mask=left_half)
+    points = ml.reconstruct(take.observations, ml.Rig.of([first, *take.rig.cameras[1:]]))
+    own = take.observations.camera == 0
+    masked = int((own & (take.observations.pixel[:, 0] < 319.5)).sum())
+    assert 0 < masked < own.sum()
+    assert f"{masked} observations under a camera's mask" in " | ".join(points.report["warnings"])
+    used = [c == first.id for c in points.assignments["camera"].to_pylist()]
+    assert sum(used) <= own.sum() - masked
+
+
 def test_cameras_without_calibration_are_named(take: ml.SimulatedTake) -> None:
     rig = take.rig.subset(take.rig.ids[:3])
     warnings = " | ".join(ml.reconstruct(take.observations, rig).report["warnings"])

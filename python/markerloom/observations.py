@@ -126,6 +126,7 @@ def match(observations: Observations, rig: Rig) -> MatchedDots:
     keep = camera >= 0
     keep &= _finite(observations, warnings)
     keep &= _on_sensor(observations, rig, camera, warnings)
+    keep &= _not_masked(observations, rig, camera, warnings)
     keep &= _not_duplicate(observations, camera, keep, warnings)
     within = _index_within_camera(observations)
     sigma = _sigma(observations, warnings)
@@ -199,6 +200,14 @@ def _on_sensor(observations: Observations, rig: Rig, camera: Ints, warnings: lis
             f"belong to different sensors or scalings ({observations.source})"
         )
     return _count(outside, warnings, "observations outside the image are ignored")
+
+
+def _not_masked(observations: Observations, rig: Rig, camera: Ints, warnings: list[str]) -> NDArray[np.bool_]:
+    masked = np.zeros(len(observations), bool)
+    for i, one in enumerate(rig.cameras):
+        if one.mask is not None:
+            masked |= (camera == i) & one.mask.covers(observations.pixel)
+    return _count(masked, warnings, "observations under a camera's mask are ignored")
 
 
 def _not_duplicate(

@@ -49,6 +49,13 @@ class Mask:
     grid: tuple[int, int]
     tiles: tuple[bool, ...]
 
+    def covers(self, pixels: Array) -> NDArray[np.bool_]:
+        """Which pixels (n, 2) lie in an ignored tile; pixels outside the grid and NaN do not."""
+        tile = np.floor((np.nan_to_num(pixels, nan=-1e6) + 0.5) / np.array(self.tile_px))
+        inside = np.asarray(((tile >= 0) & (tile < np.array(self.grid))).all(axis=1))
+        column, row = np.where(inside[:, None], tile, 0).astype(np.int64).T
+        return inside & np.array(self.tiles, bool)[row * self.grid[0] + column]
+
 
 @dataclass(frozen=True)
 class Camera:

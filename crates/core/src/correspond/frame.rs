@@ -28,12 +28,11 @@ pub struct PreparedFrame {
     pub chords: Vec<[f64; 2]>,
     /// What a dot adds to the log-likelihood ratio of a group, before its residual (nats).
     pub gains: Vec<f64>,
-    /// How many dots were left out: masked, outside the lens model, or looking past the region.
-    pub left_out: usize,
 }
 
 impl PreparedFrame {
-    /// Prepares dots; those that cannot belong to a marker are counted and left out.
+    /// Prepares dots; those that cannot belong to a marker (masked, where the lens model has folded over, or looking past
+    /// the region) are left out.
     pub fn new(scene: &Scene, dots: &[Dot]) -> Self {
         let mut order: Vec<usize> = (0..dots.len()).collect();
         order.sort_by_key(|&i| dots[i].camera);
@@ -43,12 +42,9 @@ impl PreparedFrame {
             camera_start: vec![0; scene.rig.cameras.len() + 1],
             chords: Vec::with_capacity(dots.len()),
             gains: Vec::with_capacity(dots.len()),
-            left_out: 0,
         };
         for i in order {
-            if frame.push(scene, &dots[i], i).is_none() {
-                frame.left_out += 1;
-            }
+            frame.push(scene, &dots[i], i);
         }
         for sight in &frame.sights {
             frame.camera_start[sight.camera + 1] += 1;
@@ -59,6 +55,7 @@ impl PreparedFrame {
         frame
     }
 
+    /// Adds a dot; `None` if it cannot belong to a marker.
     fn push(&mut self, scene: &Scene, dot: &Dot, index: usize) -> Option<()> {
         let camera = &scene.rig.cameras[dot.camera];
         let pixel = Vector2::from(dot.pixel);
