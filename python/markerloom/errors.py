@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from markerloom._core import BytesError, MarkerloomError, NoPointError, RigError
+from markerloom._core import BytesError, InputError, MarkerloomError, NoPointError, RigError
 
 __all__ = ["BytesError", "FormatError", "InputError", "MarkerloomError", "NoPointError", "RigError"]
 
@@ -15,6 +15,3 @@ class FormatError(MarkerloomError):
         place = f", {where}" if where else ""
         super().__init__(f"{Path(path).name}{place}: {problem} ({path})")
 
-
-class InputError(MarkerloomError):
-    """Inputs are readable but cannot be used together or at all."""

@@ -1,7 +1,7 @@
 """Simulated takes with truth: a scene, a seed, and everything the cameras would see.
 
 Scenes: ``exp61`` (the seed paper's experiment 6.1), ``cloud`` (random points in a larger volume), ``walk`` and
-``dance`` (an articulated figure whose trunk and limbs hide markers).
+``dance`` (an articulated figure whose trunk and limbs hide markers), ``duet`` (two dancers who touch).
 """
 
 from __future__ import annotations
@@ -54,9 +54,11 @@ class Scene:
     @property
     def center_m(self) -> tuple[float, float, float]:
         """What the cameras look at: figures stand on the floor, clouds float at the origin."""
-        return (0.0, 0.0, 1.0) if self.scene in ("walk", "dance") else (0.0, 0.0, 0.0)
+        return (0.0, 0.0, 1.0) if self.scene in FIGURES else (0.0, 0.0, 0.0)
 
 
+FIGURES = ("walk", "dance", "duet")
+DUET_DISTANCE_M = 0.7
 FIGURE = {
     "markers": 41,
     "cameras": 8,
@@ -76,6 +78,7 @@ PRESETS: dict[str, dict[str, object]] = {
     "cloud": {"cameras": 8, "sigma_px": 0.3, "hide": "quarter"},
     "walk": FIGURE,
     "dance": FIGURE,
+    "duet": FIGURE | {"markers": 82, "cameras": 12},
 }
 
 
@@ -186,17 +189,38 @@ def simulate(scene: Scene, *, progress: Progress | None = None) -> SimulatedTake
 
 
 def _labels(scene: Scene) -> list[str]:
-    if scene.scene in ("walk", "dance"):
-        return _core.body_labels(scene.scene, scene.markers, scene.seed)
-    return [f"M{i + 1:03d}" for i in range(scene.markers)]
+    if scene.scene not in FIGURES:
+        return [f"M{i + 1:03d}" for i in range(scene.markers)]
+    figures = _figures(scene)
+    names = [_core.body_labels(motion, markers, seed) for motion, markers, seed, _ in figures]
+    if len(figures) == 1:
+        return names[0]
+    return [f"{person}:{name}" for person, own in zip("AB", names, strict=True) for name in own]
+
+
+def _figures(scene: Scene) -> list[tuple[str, int, int, tuple[float, float, float]]]:
+    """Motion, number of markers, seed and place of each figure."""
+    if scene.scene != "duet":
+        return [(scene.scene, scene.markers, scene.seed, (0.0, 0.0, 0.0))]
+    half, apart = scene.markers // 2, DUET_DISTANCE_M / 2
+    return [
+        ("dance", scene.markers - half, 2 * scene.seed, (-apart, 0.0, 0.0)),
+        ("dance", half, 2 * scene.seed + 1, (apart, 0.0, 0.0)),
+    ]
 
 
 def _markers(scene: Scene, frame: int) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]:
-    if scene.scene in ("walk", "dance"):
-        time_s = frame / scene.rate_hz
-        return _core.body_pose(scene.scene, scene.markers, scene.seed, (0.0, 0.0, 0.0), time_s)
-    box = (scene.box_x_m, scene.box_y_m, scene.box_z_m)
-    return _core.cloud(scene.seed, frame, scene.markers, box, scene.center_m), []
+    if scene.scene not in FIGURES:
+        box = (scene.box_x_m, scene.box_y_m, scene.box_z_m)
+        return _core.cloud(scene.seed, frame, scene.markers, box, scene.center_m), []
+    time_s = frame / scene.rate_hz
+    markers: list[list[float]] = []
+    capsules: list[tuple[list[float], list[float], float]] = []
+    for motion, count, seed, center in _figures(scene):
+        own = _core.body_pose(motion, count, seed, center, time_s)
+        markers += own[0]
+        capsules += own[1]
+    return markers, capsules
 
 
 def _see(

@@ -3,10 +3,12 @@
 //! Units and frames everywhere: metres, seconds, radians, `f64`; world right-handed with Z up; pixel (0, 0) is the
 //! centre of the top-left pixel. Nothing here reads files, prints, or starts threads it was not given.
 
+pub mod assignment;
 pub mod camera;
 pub mod chi2;
 pub mod correspond;
 pub mod reconstruct;
 pub mod sight;
 pub mod synth;
+pub mod track;
 pub mod triangulate;

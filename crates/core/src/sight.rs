@@ -116,6 +116,17 @@ impl Normal {
         }
     }
 
+    /// Normal equations of a Gaussian prior, at the point of linearisation: `offset` = point − mean.
+    pub fn of_prior(information: &nalgebra::Matrix3<f64>, offset: &Vector3<f64>) -> Self {
+        let i = information;
+        let v = i * offset;
+        Self {
+            m: [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]],
+            v: v.into(),
+            c: offset.dot(&v),
+        }
+    }
+
     /// Adds a multiple of the identity (m⁻²) to the information: keeps ill-conditioned pairs solvable.
     #[must_use]
     pub fn with_ridge(mut self, ridge: f64) -> Self {
@@ -169,6 +180,11 @@ impl Normal {
         let x1 = w1 - l21 * x2 - l31 * x3;
         let rss = (self.c - (y1 * w1 + y2 * w2 + y3 * w3)).max(0.0);
         Some(Minimum { step: Vector3::new(-x1, -x2, -x3), rss, determinant: a * d2 * d3 })
+    }
+
+    /// Half the derivative of the squared error by the point (m⁻¹).
+    pub fn gradient(&self) -> Vector3<f64> {
+        self.v.into()
     }
 
     /// The information matrix (m⁻²).

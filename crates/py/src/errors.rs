@@ -9,12 +9,14 @@ use pyo3::{PyErr, create_exception};
 create_exception!(markerloom._core, MarkerloomError, pyo3::exceptions::PyException);
 create_exception!(markerloom._core, BytesError, MarkerloomError);
 create_exception!(markerloom._core, RigError, MarkerloomError);
+create_exception!(markerloom._core, InputError, MarkerloomError);
 create_exception!(markerloom._core, NoPointError, MarkerloomError);
 
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();
     module.add("MarkerloomError", py.get_type::<MarkerloomError>())?;
     module.add("BytesError", py.get_type::<BytesError>())?;
+    module.add("InputError", py.get_type::<InputError>())?;
     module.add("RigError", py.get_type::<RigError>())?;
     module.add("NoPointError", py.get_type::<NoPointError>())
 }

@@ -8,6 +8,7 @@ mod errors;
 mod reconstruct;
 mod rig;
 mod synth;
+mod track;
 mod triangulate;
 mod x2d;
 
@@ -19,6 +20,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     errors::register(module)?;
     module.add_class::<rig::PyRig>()?;
     module.add_class::<reconstruct::PyModel>()?;
+    module.add_class::<track::PyTracker>()?;
     module.add_class::<c3d::PyC3d>()?;
     module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;

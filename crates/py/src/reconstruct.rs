@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 /// The prior of a take.
 #[pyclass(name = "SceneModel", frozen)]
 pub struct PyModel {
-    inner: SceneModel,
+    pub inner: SceneModel,
 }
 
 #[pymethods]

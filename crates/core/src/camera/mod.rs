@@ -101,6 +101,19 @@ impl Camera {
         self.pixel_from_normalised(in_camera.xy() / in_camera.z).map(|(pixel, _)| pixel)
     }
 
+    /// Measured pixel of a world point and d pixel / d point (px per metre).
+    pub fn project_linear(&self, point_in_world: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let c = self.camera_from_world_point(point_in_world);
+        if c.z <= 1e-9 {
+            return None;
+        }
+        let (iz, r) = (1.0 / c.z, &self.camera_from_world);
+        let at = c.xy() * iz;
+        let (pixel, by_normalised) = self.pixel_from_normalised(at)?;
+        let plain = Matrix2x3::from_rows(&[(r.row(0) - at.x * r.row(2)) * iz, (r.row(1) - at.y * r.row(2)) * iz]);
+        Some((pixel, by_normalised * plain))
+    }
+
     /// Measured pixel and its derivatives by point and pose.
     pub fn project_with_derivatives(&self, point_in_world: &Vector3<f64>) -> Option<(Vector2<f64>, PixelDerivatives)> {
         let c = self.camera_from_world_point(point_in_world);
@@ -208,6 +221,8 @@ mod tests {
             let camera = with_lens(lens);
             for point in points() {
                 let (_, derivatives) = camera.project_with_derivatives(&point).unwrap();
+                let (_, by_point) = camera.project_linear(&point).unwrap();
+                assert_relative_eq!(by_point, derivatives.by_point, epsilon = 1e-9, max_relative = 1e-9);
                 for axis in 0..3 {
                     let step = Vector3::ith(axis, h);
                     let by_point = (camera.project(&(point + step)).unwrap()

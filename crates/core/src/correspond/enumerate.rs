@@ -96,7 +96,7 @@ impl Candidates {
 
 /// Enumerates all candidate groups of a frame.
 pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, options: &EnumerateOptions) -> Candidates {
-    let model = scene.model;
+    let model = &scene.model;
     let mut search = Search {
         scene,
         frame,
@@ -130,7 +130,7 @@ pub fn enumerate(scene: &Scene, frame: &PreparedFrame, graph: &PairGraph, option
 
 /// The part of a group's weight that is the same for all groups.
 pub fn constant(scene: &Scene) -> f64 {
-    scene.model.expected_markers.ln() + 1.5 * std::f64::consts::TAU.ln()
+    scene.ln_expected + 1.5 * std::f64::consts::TAU.ln()
 }
 
 /// Dots around one pair, linearised at its point.
@@ -189,7 +189,7 @@ impl Local {
 }
 
 struct Search<'a> {
-    scene: &'a Scene<'a>,
+    scene: &'a Scene,
     frame: &'a PreparedFrame,
     graph: &'a PairGraph,
     options: &'a EnumerateOptions,

@@ -136,11 +136,14 @@ const VISIBILITY_CELLS: usize = 20;
 const CHORD_SAMPLES: usize = 8;
 
 /// A rig and a model with what is computed from them once per take.
-pub struct Scene<'a> {
+pub struct Scene {
     /// The cameras.
-    pub rig: &'a Rig,
+    pub rig: Rig,
     /// The prior.
-    pub model: &'a SceneModel,
+    pub model: SceneModel,
+    /// Logarithm of the number of markers that the dots of a frame are expected to show. A tracker, whose known markers
+    /// have been taken out of the frame, expects few.
+    pub ln_expected: f64,
     visible: Vec<u128>,
     cell_from_point: Vector3<f64>,
     /// Density of a marker's position (m⁻³): outside and inside the volume; and its logarithm.
@@ -156,9 +159,9 @@ pub struct Scene<'a> {
     pub group_gates: Vec<f64>,
 }
 
-impl<'a> Scene<'a> {
+impl Scene {
     /// Prepares a scene. At most 128 cameras.
-    pub fn new(rig: &'a Rig, model: &'a SceneModel) -> Self {
+    pub fn new(rig: &Rig, model: &SceneModel) -> Self {
         let size = model.volume.high - model.volume.low;
         let cell_from_point = size.map(|side| VISIBILITY_CELLS as f64 / side.max(1e-6));
         let n = VISIBILITY_CELLS;
@@ -173,8 +176,9 @@ impl<'a> Scene<'a> {
         let missed = (0..=rig.cameras.len()).map(|n| (1.0 - model.detection).powi(n as i32)).collect();
         let density = [outside, inside];
         Self {
-            rig,
-            model,
+            rig: rig.clone(),
+            model: model.clone(),
+            ln_expected: model.expected_markers.ln(),
             visible,
             cell_from_point,
             density,
@@ -194,7 +198,7 @@ impl<'a> Scene<'a> {
     /// The cameras that can see a place, as a bit mask. Exact outside the volume, by cells inside it.
     pub fn visible(&self, point: &Vector3<f64>) -> u128 {
         if !self.model.volume.contains(point) {
-            return cameras_that_see(self.rig, point);
+            return cameras_that_see(&self.rig, point);
         }
         self.visible_near(point)
     }
@@ -211,7 +215,7 @@ impl<'a> Scene<'a> {
     /// Logarithm of the density (px⁻²) with which this dot is *not* part of a point: a marker that no other camera
     /// saw, clutter, or a fixed reflection.
     pub fn ln_alone(&self, sight: &Sight, pixel: Vector2<f64>, chord: Option<[f64; 2]>) -> f64 {
-        let model = self.model;
+        let model = &self.model;
         let camera = &self.rig.cameras[sight.camera];
         let mut density = model.clutter[sight.camera] / (camera.size_px[0] * camera.size_px[1]);
         for reflection in &model.reflections[sight.camera] {

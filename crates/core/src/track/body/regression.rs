@@ -1,0 +1,363 @@
+//! A hidden marker's place from its most reliable neighbours: a rigid frame, and what history says beyond rigidity.
+//!
+//! The neighbours' places at a moment are turned onto a reference (`rotation.rs`): in that local frame a rigidly placed
+//! marker stands still. How it departs from that is predicted from how the neighbours depart, by ridge regression on the
+//! history; how strong the ridge is, and how honest the outcome, is decided by leaving out stretches of the history.
+//! What the marker was off when last seen, and how fast that changed, fades as such errors do (cf. Piazza et al. 2009; Gløersen &
+//! Federolf 2016 for the use of all markers' correlations).
+
+use super::rotation::align;
+use super::{Carried, Snapshot};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+
+/// Neighbours at most.
+pub const NEIGHBOURS: usize = 6;
+/// Fewer make no frame.
+const FEWEST: usize = 3;
+/// Smallest area of the triangle of the first three neighbours' spread (m²): below it the frame's turn is a guess.
+const SMALLEST_SPREAD: f64 = 0.02;
+/// Ridges tried, relative to the mean variance of the features; the last means "rigid".
+const RIDGES: [f64; 4] = [0.05, 0.5, 5.0, f64::INFINITY];
+/// Stretches of the history that are left out in turn.
+const FOLDS: usize = 5;
+/// Snapshots below which the history says nothing.
+const FEW_SNAPSHOTS: usize = 8;
+/// Error per axis of an untried frame: at least (m), by distance, and by how far the marker moved in the frame so far;
+/// and how many independent snapshots that belief is worth.
+const UNTRIED_ERROR: f64 = 0.010;
+const UNTRIED_BY_DISTANCE: f64 = 0.05;
+const UNTRIED_BY_MOTION: f64 = 0.5;
+const UNTRIED_WORTH: f64 = 5.0;
+/// Correlation length of an untried frame's errors (s).
+const UNTRIED_LENGTH_S: f64 = 0.15;
+/// The last motion is taken from frames within this time (s), and their noise is this (m).
+const LAST_MOTION_S: f64 = 0.05;
+const LAST_NOISE: f64 = 0.000_5;
+/// Largest factor on the variance for poses unlike those of the history.
+const LARGEST_LEVERAGE: f64 = 30.0;
+/// Error that never fades: measurement, skin (m).
+const LEAST_ERROR: f64 = 0.000_7;
+
+/// A fitted frame for one hidden marker.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    neighbours: Vec<usize>,
+    reference: Vec<Vector3<f64>>,
+    rotation: Rotation3<f64>,
+    mean_features: DVector<f64>,
+    mean_place: Vector3<f64>,
+    /// Place by features (3 × 3K); empty when rigid.
+    coefficients: Option<DMatrix<f64>>,
+    /// Inverse of the features' ridged second moments: for the leverage of a pose.
+    inverse: Option<DMatrix<f64>>,
+    /// Error per axis (m²) and its correlation length (s).
+    variance: f64,
+    length_s: f64,
+    /// How far off the prediction was when the marker was last seen (local frame; m, m/s), and when (s).
+    offset: Option<[Vector3<f64>; 2]>,
+    lost_s: f64,
+}
+
+/// Neighbours' departures and the marker's place in the local frame, for one snapshot.
+struct Sample {
+    features: DVector<f64>,
+    place: Vector3<f64>,
+}
+
+impl Fit {
+    /// A frame of the neighbours for the marker in `slot`; `None` if the neighbours do not span a frame.
+    pub fn new(
+        slot: usize,
+        neighbours: &[usize],
+        history: &[&Snapshot],
+        lost: &[(f64, Snapshot)],
+        spacing_s: f64,
+    ) -> Option<Self> {
+        let (lost_s, newest) = lost.first()?;
+        let mut fit = Self::frame(neighbours, history, newest)?;
+        fit.lost_s = *lost_s;
+        let mut guess = Rotation3::identity();
+        let mut samples = Vec::with_capacity(history.len());
+        for snapshot in history {
+            if let Some((sample, rotation)) = fit.local(slot, snapshot, guess) {
+                guess = rotation;
+                samples.push(sample);
+            }
+        }
+        let last: Vec<(f64, Sample)> = lost
+            .iter()
+            .take_while(|(at, _)| lost_s - at < LAST_MOTION_S)
+            .map_while(|(at, s)| fit.local(slot, s, Rotation3::identity()).map(|(sample, _)| (*at, sample)))
+            .collect();
+        fit.learn(&samples, last.first().map(|(_, s)| s), spacing_s)?;
+        fit.offset = fit.last_motion(&last);
+        Some(fit)
+    }
+
+    /// How far off the prediction was at the end and how fast that changed: a line through the last frames, its slope
+    /// shrunk by how fast errors change at all.
+    fn last_motion(&self, last: &[(f64, Sample)]) -> Option<[Vector3<f64>; 2]> {
+        let offsets: Vec<(f64, Vector3<f64>)> =
+            last.iter().map(|(at, s)| (at - self.lost_s, s.place - self.place_of(&s.features))).collect();
+        let (_, newest) = offsets.first()?;
+        let (mut squared, mut product) = (0.0, Vector3::zeros());
+        for (before_s, offset) in &offsets[1..] {
+            squared += before_s * before_s;
+            product += (offset - newest) * *before_s;
+        }
+        let ridge = (LAST_NOISE * self.length_s).powi(2) / self.variance.max(1e-12);
+        Some([*newest, product / (squared + ridge)])
+    }
+
+    /// The reference: the neighbours as they stood when the marker was lost, or else as lately as all were seen.
+    fn frame(neighbours: &[usize], history: &[&Snapshot], lost: &Snapshot) -> Option<Self> {
+        if neighbours.len() < FEWEST {
+            return None;
+        }
+        let places = |s: &Snapshot| -> Option<Vec<Vector3<f64>>> {
+            neighbours.iter().map(|&n| s.get(n).copied().flatten()).collect()
+        };
+        let points = places(lost).or_else(|| history.iter().find_map(|s| places(s)))?;
+        let reference = centered(&points).1;
+        (spread(&reference) > SMALLEST_SPREAD).then(|| Self {
+            neighbours: neighbours.to_vec(),
+            rotation: Rotation3::identity(),
+            mean_features: DVector::zeros(3 * neighbours.len()),
+            reference,
+            mean_place: Vector3::zeros(),
+            coefficients: None,
+            inverse: None,
+            variance: 0.0,
+            length_s: UNTRIED_LENGTH_S,
+            offset: None,
+            lost_s: 0.0,
+        })
+    }
+
+    /// Whether the frame leans on a slot.
+    pub fn uses(&self, slot: usize) -> bool {
+        self.neighbours.contains(&slot)
+    }
+
+    /// Whether all neighbours are known.
+    pub fn can_use(&self, now: &[Option<Vector3<f64>>]) -> bool {
+        self.neighbours.iter().all(|&n| now.get(n).is_some_and(Option::is_some))
+    }
+
+    /// Features of a snapshot, and the rotation from the world into the local frame with the neighbours' centroid.
+    fn features(
+        &self,
+        now: &[Option<Vector3<f64>>],
+        guess: Rotation3<f64>,
+    ) -> Option<(DVector<f64>, Rotation3<f64>, Vector3<f64>)> {
+        let points: Option<Vec<Vector3<f64>>> =
+            self.neighbours.iter().map(|&n| now.get(n).copied().flatten()).collect();
+        let (center, points) = centered(&points?);
+        let rotation = align(&points, &self.reference, &vec![1.0; points.len()], guess);
+        let mut features = DVector::zeros(3 * points.len());
+        for (i, (point, reference)) in points.iter().zip(&self.reference).enumerate() {
+            features.fixed_rows_mut::<3>(3 * i).copy_from(&(rotation * point - reference));
+        }
+        Some((features, rotation, center))
+    }
+
+    fn local(&self, slot: usize, snapshot: &Snapshot, guess: Rotation3<f64>) -> Option<(Sample, Rotation3<f64>)> {
+        let marker = snapshot.get(slot).copied().flatten()?;
+        let (features, rotation, center) = self.features(snapshot, guess)?;
+        Some((Sample { features, place: rotation * (marker - center) }, rotation))
+    }
+
+    fn place_of(&self, features: &DVector<f64>) -> Vector3<f64> {
+        let departure = self.coefficients.as_ref().map(|c| c * (features - &self.mean_features));
+        self.mean_place + departure.map_or(Vector3::zeros(), |d| Vector3::new(d[0], d[1], d[2]))
+    }
+
+    /// Mean place, regression and error from the samples (newest first).
+    fn learn(&mut self, samples: &[Sample], last: Option<&Sample>, spacing_s: f64) -> Option<()> {
+        if samples.len() < FEW_SNAPSHOTS {
+            let all = samples.iter().chain(last);
+            let n = all.clone().count();
+            if n == 0 {
+                return None;
+            }
+            self.mean_place = all.map(|s| s.place).sum::<Vector3<f64>>() / n as f64;
+            self.variance = self.untried_variance(samples);
+            return Some(());
+        }
+        let moments = Moments::of(samples.iter());
+        let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f).iter())).collect();
+        let scale = moments.mean_variance();
+        let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
+        let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let solved = moments.solve(ridge);
+        self.mean_features = moments.mean_features();
+        self.mean_place = moments.mean_place();
+        if let Some((coefficients, inverse)) = solved {
+            (self.coefficients, self.inverse) = (Some(coefficients), Some(inverse));
+        }
+        let lag = self.lag_correlation(samples);
+        self.length_s = length_of(lag, spacing_s);
+        let worth = samples.len() as f64 * (1.0 - lag) / (1.0 + lag);
+        let own = error / (3.0 * samples.len() as f64);
+        self.variance = (UNTRIED_WORTH * self.untried_variance(samples) + worth * own) / (UNTRIED_WORTH + worth);
+        Some(())
+    }
+
+    /// What the error per axis may be where nothing proves otherwise (m²).
+    fn untried_variance(&self, samples: &[Sample]) -> f64 {
+        let n = samples.len().max(1) as f64;
+        let mean = samples.iter().map(|s| s.place).sum::<Vector3<f64>>() / n;
+        let moved = samples.iter().map(|s| (s.place - mean).norm_squared()).sum::<f64>() / (3.0 * n);
+        let distance = self.mean_place.norm();
+        UNTRIED_ERROR.powi(2) + (UNTRIED_BY_DISTANCE * distance).powi(2) + UNTRIED_BY_MOTION.powi(2) * moved
+    }
+
+    /// Correlation of the errors of neighbouring snapshots, within 0.2–0.97.
+    fn lag_correlation(&self, samples: &[Sample]) -> f64 {
+        let errors: Vec<Vector3<f64>> = samples.iter().map(|s| s.place - self.place_of(&s.features)).collect();
+        let (mut lagged, mut squared) = (0.0, 1e-12);
+        for pair in errors.windows(2) {
+            lagged += pair[0].dot(&pair[1]);
+            squared += 0.5 * (pair[0].norm_squared() + pair[1].norm_squared());
+        }
+        (lagged / squared).clamp(0.2, 0.97)
+    }
+
+    /// The marker's place at a moment.
+    pub fn predict(&mut self, now: &[Option<Vector3<f64>>], time_s: f64) -> Option<Carried> {
+        let (features, rotation, center) = self.features(now, self.rotation)?;
+        self.rotation = rotation;
+        let mut place = self.place_of(&features);
+        let mut faded = 1.0;
+        if let Some([offset, drift]) = self.offset {
+            // A Matérn 3/2 process (Rasmussen & Williams 2006, §4.2): smooth, forgotten after some lengths.
+            let after_s = (time_s - self.lost_s).max(0.0);
+            let x = after_s / self.length_s;
+            let kept = (-x).exp();
+            place += (offset * (1.0 + x) + drift * after_s) * kept;
+            faded = (1.0 - kept * kept * ((1.0 + x).powi(2) + x * x)).max(0.0);
+        }
+        let departure = &features - &self.mean_features;
+        let leverage = self.inverse.as_ref().map_or(0.0, |m| departure.dot(&(m * &departure))).min(LARGEST_LEVERAGE);
+        let variance = self.variance * faded * (1.0 + leverage) + LEAST_ERROR.powi(2);
+        let point = center + rotation.inverse() * place;
+        Some(Carried { point, covariance: Matrix3::identity() * variance })
+    }
+}
+
+/// Length of a Matérn 3/2 process whose correlation after `spacing_s` is `correlation`: (1 + x) e⁻ˣ, by bisection.
+fn length_of(correlation: f64, spacing_s: f64) -> f64 {
+    let (mut low, mut high) = (0.01, 20.0);
+    for _ in 0..50 {
+        let x: f64 = 0.5 * (low + high);
+        if (1.0 + x) * (-x).exp() > correlation { low = x } else { high = x }
+    }
+    spacing_s / low
+}
+
+fn centered(points: &[Vector3<f64>]) -> (Vector3<f64>, Vec<Vector3<f64>>) {
+    let center = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    (center, points.iter().map(|p| p - center).collect())
+}
+
+/// Spread of centred points along their second axis (m): how well they fix a frame.
+fn spread(points: &[Vector3<f64>]) -> f64 {
+    let moments = points.iter().fold(Matrix3::zeros(), |m, p| m + p * p.transpose());
+    let mut values: [f64; 3] = moments.symmetric_eigenvalues().into();
+    values.sort_unstable_by(f64::total_cmp);
+    (values[1].max(0.0) / points.len() as f64).sqrt()
+}
+
+fn fold(samples: &[Sample], fold: usize) -> &[Sample] {
+    &samples[fold * samples.len() / FOLDS..(fold + 1) * samples.len() / FOLDS]
+}
+
+/// Sum of squared errors of stretches predicted from the rest (m²).
+fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f64) -> f64 {
+    let mut error = 0.0;
+    for (f, own) in folds.iter().enumerate() {
+        let rest = all.without(own);
+        let (mean_features, mean_place) = (rest.mean_features(), rest.mean_place());
+        let solved = rest.solve(ridge);
+        for sample in fold(samples, f) {
+            let mut off = sample.place - mean_place;
+            if let Some((coefficients, _)) = &solved {
+                let d = coefficients * (&sample.features - &mean_features);
+                off -= Vector3::new(d[0], d[1], d[2]);
+            }
+            error += off.norm_squared();
+        }
+    }
+    error
+}
+
+/// First and second moments of samples.
+struct Moments {
+    count: f64,
+    features: DVector<f64>,
+    place: Vector3<f64>,
+    features2: DMatrix<f64>,
+    place_features: DMatrix<f64>,
+}
+
+impl Moments {
+    fn of<'a>(samples: impl Iterator<Item = &'a Sample> + Clone) -> Self {
+        let width = samples.clone().next().map_or(0, |s| s.features.len());
+        let mut m = Self {
+            count: 0.0,
+            features: DVector::zeros(width),
+            place: Vector3::zeros(),
+            features2: DMatrix::zeros(width, width),
+            place_features: DMatrix::zeros(3, width),
+        };
+        for s in samples {
+            m.count += 1.0;
+            m.features += &s.features;
+            m.place += s.place;
+            m.features2.ger(1.0, &s.features, &s.features, 1.0);
+            m.place_features.ger(1.0, &s.place, &s.features, 1.0);
+        }
+        m
+    }
+
+    fn without(&self, other: &Self) -> Self {
+        Self {
+            count: self.count - other.count,
+            features: &self.features - &other.features,
+            place: self.place - other.place,
+            features2: &self.features2 - &other.features2,
+            place_features: &self.place_features - &other.place_features,
+        }
+    }
+
+    fn mean_features(&self) -> DVector<f64> {
+        &self.features / self.count
+    }
+
+    fn mean_place(&self) -> Vector3<f64> {
+        self.place / self.count
+    }
+
+    /// Mean over features of their summed squares about the mean (m²).
+    fn mean_variance(&self) -> f64 {
+        let mean = self.mean_features();
+        let width = self.features.len().max(1) as f64;
+        (self.features2.trace() - self.count * mean.norm_squared()).max(1e-12) / width
+    }
+
+    /// Coefficients and inverse second moments with a ridge; `None` for the rigid frame.
+    fn solve(&self, ridge: f64) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+        if !ridge.is_finite() {
+            return None;
+        }
+        let mean = self.mean_features();
+        let mut second = &self.features2 - &mean * mean.transpose() * self.count;
+        for i in 0..second.nrows() {
+            second[(i, i)] += ridge;
+        }
+        let cross = &self.place_features - self.mean_place() * mean.transpose() * self.count;
+        let inverse = second.cholesky()?.inverse();
+        let coefficients = DMatrix::from_fn(3, inverse.ncols(), |i, j| (cross.row(i) * inverse.column(j))[(0, 0)]);
+        Some((coefficients, inverse))
+    }
+}

@@ -1,0 +1,74 @@
+//! One frame's dots as the tracker uses them: rays, sorted by place within each camera, free until somebody owns them.
+
+use crate::correspond::frame::Dot;
+use crate::correspond::scene::Scene;
+use crate::sight::Sight;
+use nalgebra::Vector2;
+
+/// A frame in work.
+pub struct Frame<'a> {
+    /// The dots as they came.
+    pub dots: &'a [Dot],
+    /// Their rays; `None` for dots that cannot belong to a marker (masked, or where the lens model has folded over).
+    pub sights: Vec<Option<Sight>>,
+    /// Usable dots of each camera, by ascending x.
+    pub by_camera: Vec<Vec<u32>>,
+    /// Largest noise of each camera's dots (px).
+    pub widest_sigma_px: Vec<f64>,
+    /// Whether nobody owns the dot yet.
+    pub free: Vec<bool>,
+}
+
+impl<'a> Frame<'a> {
+    /// Prepares the dots of one frame.
+    pub fn new(scene: &Scene, dots: &'a [Dot]) -> Self {
+        let cameras = scene.rig.cameras.len();
+        let mut frame = Self {
+            dots,
+            sights: Vec::with_capacity(dots.len()),
+            by_camera: vec![Vec::new(); cameras],
+            widest_sigma_px: vec![0.0; cameras],
+            free: vec![true; dots.len()],
+        };
+        for (index, dot) in dots.iter().enumerate() {
+            let camera = &scene.rig.cameras[dot.camera];
+            let pixel = Vector2::from(dot.pixel);
+            let sigma = dot.sigma * scene.model.noise[dot.camera];
+            let usable = !camera.mask.covers(pixel);
+            let sight = usable.then(|| Sight::new(camera, dot.camera, pixel, sigma)).flatten();
+            if sight.is_some() {
+                frame.by_camera[dot.camera].push(index as u32);
+                frame.widest_sigma_px[dot.camera] = frame.widest_sigma_px[dot.camera].max(sigma);
+            } else {
+                frame.free[index] = false;
+            }
+            frame.sights.push(sight);
+        }
+        for own in &mut frame.by_camera {
+            own.sort_unstable_by(|&a, &b| {
+                dots[a as usize].pixel[0].total_cmp(&dots[b as usize].pixel[0]).then(a.cmp(&b))
+            });
+        }
+        frame
+    }
+
+    /// Where a dot is (px).
+    pub fn pixel(&self, dot: u32) -> Vector2<f64> {
+        Vector2::from(self.dots[dot as usize].pixel)
+    }
+
+    /// Noise of a usable dot (px).
+    pub fn sigma_px(&self, dot: u32) -> f64 {
+        self.sight(dot).sigma_px
+    }
+
+    /// The ray of a usable dot.
+    pub fn sight(&self, dot: u32) -> &Sight {
+        self.sights[dot as usize].as_ref().expect("only usable dots are handed out")
+    }
+
+    /// Indices of the dots that nobody owns.
+    pub fn left_over(&self) -> Vec<usize> {
+        (0..self.dots.len()).filter(|&d| self.free[d]).collect()
+    }
+}

@@ -1,0 +1,312 @@
+//! One marker on its way through the frames.
+
+use super::body::{Carried, Seen};
+use super::filter::{Filter, Step};
+use super::frame::Frame;
+use super::locate::Located;
+use super::view::Prior;
+use super::{Kind, Sample};
+use crate::correspond::Group;
+use crate::correspond::scene::Scene;
+use nalgebra::{Matrix3, Vector3};
+
+/// Spread of the acceleration of a marker of which nothing is known (m/s²), and what any marker's stays within.
+const FIRST_ACCELERATION: f64 = 20.0;
+const ACCELERATION_RANGE: [f64; 2] = [1.0, 400.0];
+/// The spread follows the innovations: fast up, slowly down (per frame and unit of normalised squared innovation).
+const RISE: f64 = 0.2;
+const FALL: f64 = 0.05;
+const LARGEST_RATIO: f64 = 6.0;
+/// A push is this much stronger than the usual acceleration, and at least so strong (m/s²).
+const PUSH: f64 = 8.0;
+const LEAST_PUSH: f64 = 60.0;
+/// Squared innovation (χ², 3 degrees, 1e-3) beyond which there was a push.
+const PUSHED: f64 = 16.3;
+/// Hidden for longer, a marker's own motion says nothing about its speed any more (s).
+const STALE_S: f64 = 0.1;
+/// Spread beyond which a hidden marker's own motion is no prediction any more (m).
+const LOST_SPREAD: f64 = 0.3;
+/// Spread of the speed relative to the neighbours' (m/s).
+const SPEED_AMONG_NEIGHBOURS: f64 = 0.7;
+/// Frames in which a new marker must be seen: by three cameras or more, or by two.
+const HITS: u32 = 2;
+const HITS_OF_PAIRS: u32 = 4;
+/// Frames in a row in which a tentative marker may be missed.
+const MISSES: u32 = 2;
+/// Most and each frame's gain of the log odds that a trajectory is a marker.
+const SUREST: f64 = 14.0;
+const SURER: f64 = 1.5;
+
+/// A marker.
+#[derive(Clone, Debug)]
+pub struct Marker {
+    /// Identity of the trajectory.
+    pub track: u32,
+    /// Place in the dynamic model.
+    pub slot: usize,
+    /// Motion.
+    pub filter: Filter,
+    /// Whether it is believed to be a marker.
+    pub confirmed: bool,
+    /// Where it is expected in this frame.
+    pub prior: Prior,
+    /// What was found in this frame.
+    pub located: Option<Located>,
+    acceleration: f64,
+    /// Time of the last frame in which it was measured (s), and whether that was the last frame.
+    seen_s: f64,
+    live: bool,
+    hits: u32,
+    wide_hits: u32,
+    misses: u32,
+    log_odds: f64,
+    /// Position and covariance after this frame.
+    state: (Vector3<f64>, Matrix3<f64>),
+}
+
+impl Marker {
+    /// A marker from a point that was nobody's.
+    pub fn born(
+        track: u32,
+        slot: usize,
+        scene: &Scene,
+        frame: &Frame,
+        group: &Group,
+        time_s: f64,
+        confirmed: bool,
+    ) -> Self {
+        let odds = (group.confidence / (1.0 - group.confidence).max(1e-9)).ln().min(SUREST);
+        let filter = Filter::new(group.point, &group.covariance, FIRST_ACCELERATION);
+        let prior = Prior { point: group.point, covariance: group.covariance, push: 0.0 };
+        let mut marker = Self {
+            track,
+            slot,
+            filter,
+            confirmed,
+            prior,
+            located: None,
+            acceleration: FIRST_ACCELERATION,
+            seen_s: time_s,
+            live: true,
+            hits: 1,
+            wide_hits: u32::from(group.dots.len() >= 3),
+            misses: 0,
+            log_odds: odds,
+            state: (group.point, group.covariance),
+        };
+        marker.refind(scene, frame, group);
+        marker
+    }
+
+    /// Whether it was measured in the last frame.
+    pub fn is_live(&self) -> bool {
+        self.live
+    }
+
+    /// Whether it is measured in this frame.
+    pub fn is_found(&self) -> bool {
+        self.located.as_ref().is_some_and(|l| l.dots.len() >= 2)
+    }
+
+    /// Where it was found.
+    pub fn found_at(&self) -> Option<Vector3<f64>> {
+        self.is_found().then(|| self.located.as_ref().map(|l| l.point)).flatten()
+    }
+
+    /// Time update.
+    pub fn predict(&mut self, step: &Step) {
+        self.filter.predict(step, self.acceleration);
+        let push = (PUSH * self.acceleration).max(LEAST_PUSH);
+        self.prior = Prior {
+            point: self.filter.position,
+            covariance: *self.filter.covariance(),
+            push: push * push * step.jump_variance(),
+        };
+        self.located = None;
+    }
+
+    /// Where its own motion alone takes it.
+    pub fn own_prediction(&self) -> Carried {
+        Carried { point: self.filter.position, covariance: *self.filter.covariance() }
+    }
+
+    /// A better prediction of a hidden marker, with its neighbours.
+    pub fn carry(&mut self, carried: &Carried) {
+        self.prior =
+            Prior { point: carried.point, covariance: carried.covariance, push: carried.covariance.trace() };
+    }
+
+    /// What is known after this frame's first look, as a prediction for a second.
+    pub fn posterior_prior(&self) -> Prior {
+        let Some(located) = &self.located else { return self.prior };
+        let information = self.prior.wide().try_inverse().map(|i| i + located.information);
+        let covariance = information.and_then(|i| i.try_inverse()).unwrap_or(self.prior.covariance);
+        Prior { point: located.point, covariance, push: 0.0 }
+    }
+
+    /// Whether one of its dots is of a camera.
+    pub fn has_dot_of(&self, camera: usize, frame: &Frame) -> bool {
+        self.located.as_ref().is_some_and(|l| l.dots.iter().any(|&d| frame.dots[d as usize].camera == camera))
+    }
+
+    /// Takes possession of its dots.
+    pub fn claim(&self, free: &mut [bool]) {
+        self.located.iter().flat_map(|l| &l.dots).for_each(|&d| free[d as usize] = false);
+    }
+
+    /// Gives its dots back.
+    pub fn release(&mut self, free: &mut [bool]) {
+        self.located.iter().flat_map(|l| &l.dots).for_each(|&d| free[d as usize] = true);
+        self.located = None;
+    }
+
+    /// Found again at a point of the full correspondence, wherever it was expected.
+    pub fn refind(&mut self, scene: &Scene, frame: &Frame, group: &Group) {
+        let mut dots: Vec<u32> = group.dots.iter().map(|&d| d as u32).collect();
+        dots.sort_unstable();
+        self.located = Some(Located::at(scene, frame, dots, group.point));
+        let away = (group.point - self.prior.point).norm();
+        // The prediction was wrong by this much: it counts for no more than that.
+        self.prior.push = self.prior.push.max(away * away);
+    }
+
+    /// Measurement update; `drift` is how the marker's neighbours move.
+    pub fn settle(&mut self, step: &Step, time_s: f64, drift: Option<Vector3<f64>>) {
+        let Some(located) = &self.located else {
+            self.state = (self.prior.point, self.prior.covariance);
+            self.missed(drift);
+            return;
+        };
+        let information = located.information;
+        let pull = located.pull_from(&self.prior.point);
+        if located.dots.len() < 2 {
+            self.state = posterior(&self.prior.point, &self.prior.covariance, &information, &pull)
+                .unwrap_or((self.prior.point, self.prior.covariance));
+            self.settle_one_ray(&information);
+            self.missed(drift);
+            return;
+        }
+        let rays = located.dots.len();
+        let hidden_s = time_s - self.seen_s;
+        if !self.live && hidden_s > STALE_S {
+            self.restart(&information, &pull, drift);
+        } else {
+            self.settle_live(step, &information);
+        }
+        (self.live, self.seen_s, self.misses) = (true, time_s, 0);
+        self.hits += 1;
+        self.wide_hits += u32::from(rays >= 3);
+        self.log_odds = (self.log_odds + if rays >= 3 { SURER } else { 0.5 * SURER }).min(SUREST);
+        self.confirmed |= self.wide_hits >= HITS || self.hits >= HITS_OF_PAIRS;
+    }
+
+    fn missed(&mut self, drift: Option<Vector3<f64>>) {
+        self.live = false;
+        self.misses += 1;
+        if self.filter.covariance().trace() > LOST_SPREAD * LOST_SPREAD {
+            // Its own motion is forgotten; from here on it moves with its neighbours.
+            let (point, covariance) = self.state;
+            let wide = covariance * 2.0 + Matrix3::identity() * (0.1 * LOST_SPREAD).powi(2);
+            let velocity = drift.unwrap_or_default();
+            self.filter = Filter::moving(point, &wide, velocity, SPEED_AMONG_NEIGHBOURS, FIRST_ACCELERATION);
+        }
+    }
+
+    /// One ray moves the filter across its direction.
+    fn settle_one_ray(&mut self, information: &Matrix3<f64>) {
+        let Some(located) = &self.located else { return };
+        let pull = located.pull_from(&self.filter.position);
+        if let Some((point, covariance)) =
+            posterior(&self.filter.position, self.filter.covariance(), information, &pull)
+        {
+            self.filter.update(point, &covariance);
+        }
+    }
+
+    /// The usual update of a marker that is followed without a break.
+    fn settle_live(&mut self, step: &Step, information: &Matrix3<f64>) {
+        let Some(located) = &self.located else { return };
+        let pull = located.pull_from(&self.filter.position);
+        let squared = squared_innovation(self.filter.covariance(), information, &pull);
+        if squared > PUSHED {
+            let away = (located.point - self.filter.position).norm();
+            self.filter.admit_push(step, 2.0 * away / step.dt_s.powi(2));
+        }
+        if self.live {
+            let excess = (squared / 3.0).min(LARGEST_RATIO) - 1.0;
+            let rate = if excess > 0.0 { RISE } else { FALL };
+            let variance = self.acceleration.powi(2) * (1.0 + rate * excess);
+            self.acceleration = variance.sqrt().clamp(ACCELERATION_RANGE[0], ACCELERATION_RANGE[1]);
+        }
+        if let Some((point, covariance)) =
+            posterior(&self.filter.position, self.filter.covariance(), information, &pull)
+        {
+            self.filter.update(point, &covariance);
+            self.state = (point, covariance);
+        }
+    }
+
+    /// Starts the filter anew after a long absence.
+    fn restart(&mut self, information: &Matrix3<f64>, pull: &Vector3<f64>, drift: Option<Vector3<f64>>) {
+        let wide = self.prior.wide();
+        let Some((point, covariance)) = posterior(&self.prior.point, &wide, information, pull) else { return };
+        self.acceleration = self.acceleration.max(FIRST_ACCELERATION);
+        self.filter = match drift {
+            Some(v) => Filter::moving(point, &covariance, v, SPEED_AMONG_NEIGHBOURS, self.acceleration),
+            None => Filter::new(point, &covariance, self.acceleration),
+        };
+        self.state = (point, covariance);
+    }
+
+    /// Whether it is to be forgotten.
+    pub fn is_gone(&self, time_s: f64, memory_s: f64) -> bool {
+        if self.confirmed { time_s - self.seen_s > memory_s } else { self.misses >= MISSES }
+    }
+
+    /// What the dynamic model learns from it.
+    pub fn seen(&self) -> Seen {
+        Seen { slot: self.slot, point: self.state.0, covariance: self.state.1, trusted: self.hits > 2 }
+    }
+
+    /// What is given out for this frame.
+    pub fn sample(&self, frame: &Frame) -> Sample {
+        let (point, covariance) = self.state;
+        let dots = self.located.as_ref().map_or(Vec::new(), |l| l.dots.clone());
+        let (mut squared_px, mut distance) = (0.0, 0.0);
+        for &dot in &dots {
+            let sight = frame.sight(dot);
+            squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px.powi(2);
+            distance += (point - sight.origin).cross(&sight.direction).norm();
+        }
+        let n = dots.len().max(1) as f64;
+        Sample {
+            track: self.track,
+            point,
+            covariance,
+            kind: if self.is_found() { Kind::Measured } else { Kind::Predicted },
+            dots,
+            residual_px: (squared_px / n).sqrt(),
+            ray_distance_m: distance / n,
+            confidence: 1.0 / (1.0 + (-self.log_odds).exp()),
+            confirmed: self.confirmed,
+        }
+    }
+}
+
+/// Position and covariance when information with a pull `information · (z − point)` is added to a prior.
+fn posterior(
+    point: &Vector3<f64>,
+    covariance: &Matrix3<f64>,
+    information: &Matrix3<f64>,
+    pull: &Vector3<f64>,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let after = (covariance.try_inverse()? + information).try_inverse()?;
+    let after = 0.5 * (after + after.transpose());
+    Some((point + after * pull, after))
+}
+
+/// Innovation squared in its own covariance: pullᵀ (M P M + M)⁻¹ pull.
+fn squared_innovation(covariance: &Matrix3<f64>, information: &Matrix3<f64>, pull: &Vector3<f64>) -> f64 {
+    let spread = information * covariance * information + information;
+    spread.try_inverse().map_or(0.0, |inverse| pull.dot(&(inverse * pull)))
+}

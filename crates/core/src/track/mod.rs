@@ -1,0 +1,380 @@
+//! Trajectories: every marker followed through time, one frame after the other.
+//!
+//! A frame goes through these stages ([`Tracker::push`]):
+//! 1. **predict** (`filter.rs`; hidden markers also from their neighbours, `body/`);
+//! 2. **confirm**: per camera, dots are assigned to the predictions (`view.rs`); per marker, its dots must meet in one
+//!    point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for;
+//! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
+//! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
+//!    markers first (`rematch.rs`; §5.2's global re-matching), what is left may be born;
+//! 5. **settle**: filters and the dynamic model learn, births are confirmed, the lost are forgotten after a while.
+//!
+//! The tracker is causal and deterministic: what [`Tracker::push`] returns depends on the frames so far and on nothing
+//! else. What later frames reveal is worked in by `repair/`, over a whole take.
+
+pub mod body;
+mod clock;
+pub mod filter;
+mod frame;
+mod locate;
+mod marker;
+mod rematch;
+mod view;
+
+pub use clock::{Moment, TimeError};
+
+use crate::camera::Rig;
+use crate::correspond::frame::{Dot, PreparedFrame};
+use crate::correspond::optimal::{OptimalOptions, optimal};
+use crate::correspond::scene::{Scene, SceneModel};
+use crate::correspond::Group;
+use body::{Body, Seen};
+use clock::Clock;
+use filter::Step;
+use frame::Frame;
+use locate::{LocateGates, locate};
+use marker::Marker;
+use nalgebra::{Matrix3, Vector3};
+use view::{Prior, match_camera};
+
+/// How a position came about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// At least two rays of this frame met.
+    Measured,
+    /// Carried by motion and neighbours, with one ray or none.
+    Predicted,
+}
+
+/// One marker in one frame.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// Identity of the trajectory.
+    pub track: u32,
+    /// Position (m, world).
+    pub point: Vector3<f64>,
+    /// Covariance of the position (m²).
+    pub covariance: Matrix3<f64>,
+    /// Measured or predicted.
+    pub kind: Kind,
+    /// Indices of its dots in the frame, ascending.
+    pub dots: Vec<u32>,
+    /// Root mean square distance of dots and reprojections (px); 0 without dots.
+    pub residual_px: f64,
+    /// Mean distance of point and rays (m).
+    pub ray_distance_m: f64,
+    /// Probability that the trajectory is a marker.
+    pub confidence: f64,
+    /// Whether the trajectory was believed when the frame was pushed; others may turn out to be markers or ghosts later.
+    pub confirmed: bool,
+}
+
+/// What one frame gave.
+#[derive(Clone, Debug, Default)]
+pub struct Tracked {
+    /// Samples in ascending order of track.
+    pub samples: Vec<Sample>,
+    /// Dots that had to go through the full correspondence.
+    pub searched_dots: usize,
+    /// Whether the frame had more dots than the tracker looks at.
+    pub overfull: bool,
+}
+
+/// Options of a tracker. None of them needs to be set.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackOptions {
+    /// How long the identity of a lost marker is kept (s). Too short makes new trajectories, too long fills memory.
+    pub memory_s: f64,
+    /// Predicted samples with a larger spread are not given out (m).
+    pub largest_sigma_m: f64,
+    /// Limits of the full correspondence of what is left over.
+    pub fall_back: OptimalOptions,
+}
+
+impl Default for TrackOptions {
+    fn default() -> Self {
+        let mut fall_back = OptimalOptions::default();
+        fall_back.enumerate.step_limit = 100_000;
+        fall_back.node_limit = 2_000;
+        Self { memory_s: 10.0, largest_sigma_m: 0.1, fall_back }
+    }
+}
+
+/// Left-over dots beyond which the full correspondence is not tried, per dot that was ever explained: bounded time.
+const MOST_LEFT_OVER: usize = 600;
+/// A marker is not born nearer than this to a known one (m).
+const SMALLEST_DISTANCE: f64 = 0.012;
+/// Left-over dots nearer to an owned one are its halves (px).
+const SAME_BLOB_PX: f64 = 1.2;
+/// Markers expected to appear from nowhere in one frame.
+const BIRTHS_PER_FRAME: f64 = 0.1;
+
+/// Follows markers through the frames of one rig.
+pub struct Tracker {
+    scene: Scene,
+    gates: LocateGates,
+    options: TrackOptions,
+    clock: Clock,
+    markers: Vec<Marker>,
+    body: Body,
+    slots: Vec<bool>,
+    next_track: u32,
+}
+
+impl Tracker {
+    /// A tracker with a known prior.
+    pub fn new(rig: &Rig, model: &SceneModel, rate_hz: f64, options: TrackOptions) -> Result<Self, TimeError> {
+        let scene = Scene::new(rig, model);
+        Ok(Self {
+            gates: LocateGates::new(&scene),
+            scene,
+            options,
+            clock: Clock::new(rate_hz)?,
+            markers: Vec::new(),
+            body: Body::default(),
+            slots: Vec::new(),
+            next_track: 0,
+        })
+    }
+
+    /// Follows the markers into the next frame.
+    pub fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TimeError> {
+        let step = self.clock.advance(moment)?;
+        let mut frame = Frame::new(&self.scene, dots);
+        self.predict(&step);
+        self.confirm(&mut frame);
+        self.search(&mut frame);
+        self.confirm_tentative(&mut frame);
+        self.regate(&mut frame);
+        let (groups, searched_dots, overfull) = self.fall_back(&frame);
+        let groups = self.rematch(&mut frame, groups);
+        self.settle(&step);
+        self.give_birth(&frame, groups);
+        let samples = self.samples(&frame);
+        self.learn();
+        self.forget();
+        Ok(Tracked { samples, searched_dots, overfull })
+    }
+
+    fn time_s(&self) -> f64 {
+        self.clock.time_s
+    }
+
+    /// Predictions of all markers; of hidden ones also by their neighbours' predicted places.
+    fn predict(&mut self, step: &Step) {
+        for marker in &mut self.markers {
+            marker.predict(step);
+        }
+        let now = self.places(|m| (m.is_live()).then_some(m.filter.position));
+        self.carry(&now);
+    }
+
+    /// Places by slot.
+    fn places(&self, place: impl Fn(&Marker) -> Option<Vector3<f64>>) -> Vec<Option<Vector3<f64>>> {
+        let mut now = vec![None; self.slots.len()];
+        self.markers.iter().filter(|m| m.confirmed).for_each(|m| now[m.slot] = place(m));
+        now
+    }
+
+    /// Improves the predictions of hidden markers by what their neighbours' places say.
+    fn carry(&mut self, now: &[Option<Vector3<f64>>]) {
+        let time_s = self.time_s();
+        for marker in &mut self.markers {
+            if !marker.is_found() && marker.confirmed && now[marker.slot].is_none() {
+                let carried = self.body.carry(marker.slot, &marker.own_prediction(), now, time_s);
+                marker.carry(&carried);
+            }
+        }
+    }
+
+    fn confirm(&mut self, frame: &mut Frame) {
+        self.assign(frame, |m| m.confirmed);
+    }
+
+    /// Looks for confirmed markers that were not found where their neighbours say they are.
+    fn search(&mut self, frame: &mut Frame) {
+        if self.markers.iter().all(|m| !m.confirmed || m.is_found()) {
+            return;
+        }
+        for marker in self.markers.iter_mut().filter(|m| m.confirmed && !m.is_found()) {
+            marker.release(&mut frame.free);
+        }
+        let now = self.places(Marker::found_at);
+        self.carry(&now);
+        self.assign(frame, |m| m.confirmed && !m.is_found());
+    }
+
+    fn confirm_tentative(&mut self, frame: &mut Frame) {
+        self.assign(frame, |m| !m.confirmed);
+    }
+
+    /// Assigns free dots to some of the markers and checks that each marker's dots meet.
+    fn assign(&mut self, frame: &mut Frame, which: impl Fn(&Marker) -> bool) {
+        let priors: Vec<Option<Prior>> = self.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
+        let mut found: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
+        for camera in 0..self.scene.rig.cameras.len() {
+            let matched = match_camera(&self.scene, frame, camera, &priors, |_| true);
+            matched.pairs.iter().for_each(|&(who, dot)| found[who].push(dot));
+        }
+        for (marker, mut dots) in self.markers.iter_mut().zip(found) {
+            if !dots.is_empty() {
+                dots.sort_unstable();
+                marker.located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
+                marker.claim(&mut frame.free);
+            }
+        }
+    }
+
+    /// Offers left-over dots to markers that are known well by now, camera by camera.
+    fn regate(&mut self, frame: &mut Frame) {
+        let priors: Vec<Option<Prior>> = self.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
+        let mut more: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
+        for camera in 0..self.scene.rig.cameras.len() {
+            if !frame.by_camera[camera].iter().any(|&d| frame.free[d as usize]) {
+                continue;
+            }
+            let lacks = |who: usize| !self.markers[who].has_dot_of(camera, frame);
+            let matched = match_camera(&self.scene, frame, camera, &priors, lacks);
+            matched.pairs.iter().for_each(|&(who, dot)| more[who].push(dot));
+        }
+        for (marker, more) in self.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
+            let mut dots = more;
+            dots.extend(marker.located.iter().flat_map(|l| &l.dots));
+            dots.sort_unstable();
+            if let Some(better) = locate(&self.scene, &self.gates, frame, &dots, &marker.prior)
+                && marker.located.as_ref().is_none_or(|l| better.dots.len() > l.dots.len())
+            {
+                marker.release(&mut frame.free);
+                marker.located = Some(better);
+                marker.claim(&mut frame.free);
+            }
+        }
+    }
+
+    /// The full correspondence of what nobody owns.
+    fn fall_back(&mut self, frame: &Frame) -> (Vec<Group>, usize, bool) {
+        let left: Vec<usize> = frame.left_over().into_iter().filter(|&d| !is_half(frame, d)).collect();
+        let live = self.markers.iter().filter(|m| m.is_found()).count() as f64;
+        let lost = self.markers.iter().filter(|m| !m.is_found()).count() as f64;
+        let missing = (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
+        self.scene.ln_expected = (missing + BIRTHS_PER_FRAME).ln();
+        if left.len() < 2 {
+            return (Vec::new(), left.len(), false);
+        }
+        let most = MOST_LEFT_OVER.max(4 * self.scene.model.expected_markers as usize * self.scene.rig.cameras.len());
+        if left.len() > most {
+            return (Vec::new(), left.len(), true);
+        }
+        let dots: Vec<Dot> = left.iter().map(|&d| frame.dots[d]).collect();
+        let prepared = PreparedFrame::new(&self.scene, &dots);
+        let mut groups = optimal(&self.scene, &prepared, &self.options.fall_back).groups;
+        for group in &mut groups {
+            group.dots.iter_mut().for_each(|d| *d = left[*d]);
+        }
+        (groups, left.len(), false)
+    }
+
+    /// Gives new points to lost markers; returns those that are nobody's.
+    fn rematch(&mut self, frame: &mut Frame, groups: Vec<Group>) -> Vec<Group> {
+        let now = self.places(Marker::found_at);
+        let lost: Vec<usize> =
+            (0..self.markers.len()).filter(|&i| self.markers[i].confirmed && !self.markers[i].is_found()).collect();
+        let given = rematch::rematch(&self.markers, &lost, &groups, &self.body.links, &now);
+        let mut left = Vec::new();
+        for (group, owner) in groups.into_iter().zip(given) {
+            match owner {
+                Some(lost_index) => {
+                    let marker = &mut self.markers[lost[lost_index]];
+                    marker.release(&mut frame.free);
+                    marker.refind(&self.scene, frame, &group);
+                    marker.claim(&mut frame.free);
+                }
+                None => left.push(group),
+            }
+        }
+        left
+    }
+
+    /// Filters take in the measurements; markers count their hits and misses.
+    fn settle(&mut self, step: &Step) {
+        let time_s = self.time_s();
+        let velocities: Vec<Option<Vector3<f64>>> =
+            self.places(|m| m.is_live().then_some(m.filter.velocity));
+        for marker in &mut self.markers {
+            let drift = mean_velocity(&self.body, marker.slot, &velocities);
+            marker.settle(step, time_s, drift);
+        }
+    }
+
+    /// New markers from points that are nobody's.
+    fn give_birth(&mut self, frame: &Frame, groups: Vec<Group>) {
+        let first = self.next_track == 0;
+        for group in groups {
+            let near = |m: &Marker| {
+                let least = SMALLEST_DISTANCE.max(2.0 * group.covariance.trace().sqrt());
+                m.is_found() && (m.filter.position - group.point).norm() < least
+            };
+            if self.markers.iter().any(near) || group.confidence < 0.5 {
+                continue;
+            }
+            let slot = self.slots.iter().position(|used| !used).unwrap_or(self.slots.len());
+            if slot == self.slots.len() {
+                self.slots.push(true);
+            }
+            self.slots[slot] = true;
+            self.body.clear(slot);
+            let confirmed = first && group.dots.len() >= 3 && group.confidence > 0.9;
+            let born = Marker::born(self.next_track, slot, &self.scene, frame, &group, self.time_s(), confirmed);
+            self.next_track += 1;
+            self.markers.push(born);
+        }
+    }
+
+    fn samples(&self, frame: &Frame) -> Vec<Sample> {
+        let visible = |p: &Vector3<f64>| self.scene.model.region.contains(p);
+        let given = |m: &Marker| {
+            let sample = m.sample(frame);
+            let vague = sample.covariance.trace().sqrt() > self.options.largest_sigma_m;
+            (sample.kind == Kind::Measured || (m.confirmed && !vague && visible(&sample.point))).then_some(sample)
+        };
+        self.markers.iter().filter_map(given).collect()
+    }
+
+    fn learn(&mut self) {
+        let seen: Vec<Seen> = self.markers.iter().filter(|m| m.confirmed && m.is_found()).map(Marker::seen).collect();
+        self.body.learn(&seen, self.clock.time_s);
+    }
+
+    /// Tentative markers that are not seen again go soon, others after a while.
+    fn forget(&mut self) {
+        let time_s = self.time_s();
+        let memory_s = self.options.memory_s;
+        for marker in &mut self.markers {
+            if marker.is_gone(time_s, memory_s) {
+                self.slots[marker.slot] = false;
+            }
+        }
+        let slots = &self.slots;
+        self.markers.retain(|m| slots[m.slot]);
+    }
+}
+
+/// Whether a dot lies so near to an owned one that it is a half of the same blob.
+fn is_half(frame: &Frame, dot: usize) -> bool {
+    let camera = frame.dots[dot].camera;
+    let at = frame.pixel(dot as u32);
+    let reach = SAME_BLOB_PX.max(3.0 * frame.sigma_px(dot as u32));
+    let dots = &frame.by_camera[camera];
+    let first = dots.partition_point(|&d| frame.pixel(d).x < at.x - reach);
+    dots[first..]
+        .iter()
+        .take_while(|&&d| frame.pixel(d).x <= at.x + reach)
+        .any(|&d| !frame.free[d as usize] && (frame.pixel(d) - at).norm() < reach)
+}
+
+/// Mean velocity of a marker's best neighbours: how its part of the body moves.
+fn mean_velocity(body: &Body, slot: usize, velocities: &[Option<Vector3<f64>>]) -> Option<Vector3<f64>> {
+    let best = body.links.best(slot, velocities, 3);
+    let known: Vec<Vector3<f64>> = best.iter().filter_map(|&n| velocities[n]).collect();
+    (!known.is_empty()).then(|| known.iter().sum::<Vector3<f64>>() / known.len() as f64)
+}
