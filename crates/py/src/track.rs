@@ -5,6 +5,7 @@ use crate::errors::InputError;
 use crate::reconstruct::PyModel;
 use crate::rig::PyRig;
 use markerloom_core::correspond::frame::Dot;
+use markerloom_core::track::repair::repair;
 use markerloom_core::track::{Kind, Moment, TrackOptions, Tracked, Tracker};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
@@ -17,6 +18,8 @@ pub struct PyTracker {
     cameras: usize,
     recorded: Vec<Tracked>,
     starts: Vec<usize>,
+    times_s: Vec<f64>,
+    dots: Vec<Vec<Dot>>,
 }
 
 #[pymethods]
@@ -25,7 +28,7 @@ impl PyTracker {
     fn new(rig: &PyRig, model: &PyModel, rate_hz: f64) -> PyResult<Self> {
         let tracker = Tracker::new(&rig.inner, &model.inner, rate_hz, TrackOptions::default())
             .map_err(|e| InputError::new_err(e.to_string()))?;
-        Ok(Self { tracker, cameras: rig.inner.cameras.len(), recorded: Vec::new(), starts: vec![0] })
+        Ok(Self { tracker, cameras: rig.inner.cameras.len(), recorded: Vec::new(), starts: vec![0], times_s: Vec::new(), dots: Vec::new() })
     }
 
     /// Follows the markers through one frame (`dots` holds just that one); its samples as arrays.
@@ -54,10 +57,13 @@ impl PyTracker {
     ) -> PyResult<()> {
         let (all, ranges) = dots.frames(self.cameras)?;
         let (tracker, recorded, starts) = (&mut self.tracker, &mut self.recorded, &mut self.starts);
+        let (times, kept) = (&mut self.times_s, &mut self.dots);
         py.detach(|| {
             for ((range, frame), time_s) in ranges.into_iter().zip(frames).zip(times_s) {
                 let own: &[Dot] = &all[range];
                 recorded.push(tracker.push(own, Moment { frame: Some(frame), time_s })?);
+                times.push(tracker.time_s());
+                kept.push(own.to_vec());
                 starts.push(starts[starts.len() - 1] + own.len());
             }
             Ok(())
@@ -70,18 +76,7 @@ impl PyTracker {
         if confirmed_only {
             return arrays(py, &self.recorded, &self.starts, true);
         }
-        let mut believed: Vec<u32> =
-            self.recorded.iter().flat_map(|f| &f.samples).filter(|s| s.confirmed).map(|s| s.track).collect();
-        believed.sort_unstable();
-        believed.dedup();
-        let kept: Vec<Tracked> = self
-            .recorded
-            .iter()
-            .map(|f| Tracked {
-                samples: f.samples.iter().filter(|s| believed.binary_search(&s.track).is_ok()).cloned().collect(),
-                ..*f
-            })
-            .collect();
+        let kept = py.detach(|| repair(self.tracker.scene(), &self.recorded, &self.dots, &self.times_s));
         arrays(py, &kept, &self.starts, false)
     }
 }

@@ -6,6 +6,7 @@
 
 use super::frame::Frame;
 use super::view::Prior;
+use super::{Kind, Sample};
 use crate::chi2;
 use crate::correspond::scene::Scene;
 use crate::sight::{Minimum, Normal, Sight};
@@ -39,6 +40,14 @@ impl Located {
             normal = normal.plus(&Normal::of(&linear, weight));
         }
         Self { dots, point, information: normal.information(), pull: -normal.gradient() }
+    }
+
+    /// The sample that it makes together with a prediction.
+    pub fn sample(&self, frame: &Frame, track: u32, prior: &Prior, confidence: f64) -> Option<Sample> {
+        let pull = self.pull_from(&prior.point);
+        let (point, covariance) = posterior(&prior.point, &prior.wide(), &self.information, &pull)?;
+        let kind = if self.dots.len() >= 2 { Kind::Measured } else { Kind::Predicted };
+        Some(Sample::of_dots(frame, track, (point, covariance), kind, &self.dots, confidence))
     }
 
     /// M (z − from).
@@ -125,4 +134,16 @@ fn step(
     let mut minimum = normal.minimum()?;
     minimum.rss += constant;
     Some(minimum)
+}
+
+/// Position and covariance when information with a pull `information · (z − point)` is added to a prior.
+pub fn posterior(
+    point: &Vector3<f64>,
+    covariance: &Matrix3<f64>,
+    information: &Matrix3<f64>,
+    pull: &Vector3<f64>,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let after = (covariance.try_inverse()? + information).try_inverse()?;
+    let after = 0.5 * (after + after.transpose());
+    Some((point + after * pull, after))
 }

@@ -3,7 +3,7 @@
 use super::body::{Carried, Seen};
 use super::filter::{Filter, Step};
 use super::frame::Frame;
-use super::locate::Located;
+use super::locate::{Located, posterior};
 use super::view::Prior;
 use super::{Kind, Sample};
 use crate::correspond::Group;
@@ -270,39 +270,12 @@ impl Marker {
 
     /// What is given out for this frame.
     pub fn sample(&self, frame: &Frame) -> Sample {
-        let (point, covariance) = self.state;
-        let dots = self.located.as_ref().map_or(Vec::new(), |l| l.dots.clone());
-        let (mut squared_px, mut distance) = (0.0, 0.0);
-        for &dot in &dots {
-            let sight = frame.sight(dot);
-            squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px.powi(2);
-            distance += (point - sight.origin).cross(&sight.direction).norm();
-        }
-        let n = dots.len().max(1) as f64;
-        Sample {
-            track: self.track,
-            point,
-            covariance,
-            kind: if self.is_found() { Kind::Measured } else { Kind::Predicted },
-            dots,
-            residual_px: (squared_px / n).sqrt(),
-            ray_distance_m: distance / n,
-            confidence: 1.0 / (1.0 + (-self.log_odds).exp()),
-            confirmed: self.confirmed,
-        }
+        let dots: &[u32] = self.located.as_ref().map_or(&[], |l| &l.dots);
+        let kind = if self.is_found() { Kind::Measured } else { Kind::Predicted };
+        let confidence = 1.0 / (1.0 + (-self.log_odds).exp());
+        let sample = Sample::of_dots(frame, self.track, self.state, kind, dots, confidence);
+        Sample { confirmed: self.confirmed, ..sample }
     }
-}
-
-/// Position and covariance when information with a pull `information · (z − point)` is added to a prior.
-fn posterior(
-    point: &Vector3<f64>,
-    covariance: &Matrix3<f64>,
-    information: &Matrix3<f64>,
-    pull: &Vector3<f64>,
-) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-    let after = (covariance.try_inverse()? + information).try_inverse()?;
-    let after = 0.5 * (after + after.transpose());
-    Some((point + after * pull, after))
 }
 
 /// Innovation squared in its own covariance: pullᵀ (M P M + M)⁻¹ pull.

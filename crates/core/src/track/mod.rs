@@ -19,6 +19,7 @@ mod frame;
 mod locate;
 mod marker;
 mod rematch;
+pub mod repair;
 mod view;
 
 pub use clock::{Moment, TimeError};
@@ -67,6 +68,37 @@ pub struct Sample {
     pub confidence: f64,
     /// Whether the trajectory was believed when the frame was pushed; others may turn out to be markers or ghosts later.
     pub confirmed: bool,
+}
+
+impl Sample {
+    /// A believed sample with what its dots say about it.
+    fn of_dots(
+        frame: &Frame,
+        track: u32,
+        (point, covariance): (Vector3<f64>, Matrix3<f64>),
+        kind: Kind,
+        dots: &[u32],
+        confidence: f64,
+    ) -> Self {
+        let (mut squared_px, mut distance) = (0.0, 0.0);
+        for &dot in dots {
+            let sight = frame.sight(dot);
+            squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px.powi(2);
+            distance += (point - sight.origin).cross(&sight.direction).norm();
+        }
+        let n = dots.len().max(1) as f64;
+        Self {
+            track,
+            point,
+            covariance,
+            kind,
+            dots: dots.to_vec(),
+            residual_px: (squared_px / n).sqrt(),
+            ray_distance_m: distance / n,
+            confidence,
+            confirmed: true,
+        }
+    }
 }
 
 /// What one frame gave.
@@ -156,7 +188,13 @@ impl Tracker {
         Ok(Tracked { samples, searched_dots, overfull })
     }
 
-    fn time_s(&self) -> f64 {
+    /// What the tracker believes about the take.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Time of the last frame (s).
+    pub fn time_s(&self) -> f64 {
         self.clock.time_s
     }
 

@@ -1,0 +1,161 @@
+//! Trajectories prolonged into their gaps: a marker that comes back is followed backwards in time to the moment when two
+//! cameras first saw it, and one that got lost forwards to the last such moment.
+//!
+//! The same prediction, assignment and multi-view check as in the forward pass, on the dots that nobody owns.
+
+use super::super::filter::{Filter, Step};
+use super::super::frame::Frame;
+use super::super::locate::{LocateGates, locate};
+use super::super::view::{Prior, match_camera};
+use super::super::{Kind, Sample, Tracked};
+use crate::correspond::frame::Dot;
+use crate::correspond::scene::Scene;
+use std::collections::BTreeMap;
+
+/// Samples from which the motion at a gap is learned.
+const RUN_UP: usize = 8;
+/// Frames in a row that may be missed before the search is given up, and time without a ray (s).
+const PATIENCE_S: f64 = 0.03;
+/// Acceleration of a marker at a gap (m/s²), and of a push.
+const ACCELERATION: f64 = 30.0;
+const PUSH: f64 = 100.0;
+
+/// One trajectory on its way into a gap.
+struct Runner {
+    filter: Filter,
+    last: usize,
+    confidence: f64,
+}
+
+/// Prolongs all trajectories backwards and forwards. `identity` in the samples must be final.
+pub fn extend(scene: &Scene, dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked]) {
+    let gates = LocateGates::new(scene);
+    for forwards in [false, true] {
+        run(scene, &gates, dots, times_s, frames, forwards);
+    }
+}
+
+fn run(
+    scene: &Scene,
+    gates: &LocateGates,
+    dots: &[Vec<Dot>],
+    times_s: &[f64],
+    frames: &mut [Tracked],
+    forwards: bool,
+) {
+    let n = frames.len();
+    let mut runners: BTreeMap<u32, Runner> = BTreeMap::new();
+    let mut recent: BTreeMap<u32, Vec<(usize, Sample)>> = BTreeMap::new();
+    for step in 0..n {
+        let index = if forwards { step } else { n - 1 - step };
+        let here: Vec<u32> = measured(&frames[index]).map(|s| s.track).collect();
+        for track in &here {
+            runners.remove(track);
+        }
+        start_runners(&mut runners, &recent, &here, index, times_s);
+        advance(&mut runners, index, times_s);
+        if !runners.is_empty() {
+            let found = search(scene, gates, &dots[index], &frames[index], &mut runners, index);
+            insert(&mut frames[index], found);
+        }
+        for sample in measured(&frames[index]) {
+            let own = recent.entry(sample.track).or_default();
+            own.push((index, sample.clone()));
+            if own.len() > RUN_UP {
+                own.remove(0);
+            }
+        }
+    }
+}
+
+fn measured(frame: &Tracked) -> impl Iterator<Item = &Sample> {
+    frame.samples.iter().filter(|s| s.kind == Kind::Measured)
+}
+
+/// A trajectory that was there in the frame before and is not in this one sets off.
+fn start_runners(
+    runners: &mut BTreeMap<u32, Runner>,
+    recent: &BTreeMap<u32, Vec<(usize, Sample)>>,
+    here: &[u32],
+    index: usize,
+    times_s: &[f64],
+) {
+    for (&track, samples) in recent {
+        let Some((last, sample)) = samples.last() else { continue };
+        let just_left = last.abs_diff(index) == 1;
+        if !just_left || runners.contains_key(&track) || here.contains(&track) {
+            continue;
+        }
+        let mut filter: Option<Filter> = None;
+        let mut before = 0;
+        for (at, one) in samples {
+            match &mut filter {
+                None => filter = Some(Filter::new(one.point, &one.covariance, ACCELERATION)),
+                Some(f) => {
+                    f.predict(&Step::new((times_s[*at] - times_s[before]).abs()), ACCELERATION);
+                    let prior = *f.covariance();
+                    if let Some(gain) = (prior + one.covariance).try_inverse().map(|i| prior * i) {
+                        let point = f.position + gain * (one.point - f.position);
+                        f.update(point, &(prior - gain * prior));
+                    }
+                }
+            }
+            before = *at;
+        }
+        if let Some(filter) = filter {
+            runners.insert(track, Runner { filter, last: *last, confidence: sample.confidence });
+        }
+    }
+}
+
+/// Time update of all runners; those without a ray for long give up.
+fn advance(runners: &mut BTreeMap<u32, Runner>, index: usize, times_s: &[f64]) {
+    runners.retain(|_, r| r.last.abs_diff(index) <= 2 || (times_s[index] - times_s[r.last]).abs() <= PATIENCE_S);
+    for runner in runners.values_mut() {
+        let neighbour = if index > runner.last { index - 1 } else { index + 1 };
+        runner.filter.predict(&Step::new((times_s[index] - times_s[neighbour]).abs()), ACCELERATION);
+    }
+}
+
+fn search(
+    scene: &Scene,
+    gates: &LocateGates,
+    dots: &[Dot],
+    tracked: &Tracked,
+    runners: &mut BTreeMap<u32, Runner>,
+    index: usize,
+) -> Vec<Sample> {
+    let mut frame = Frame::new(scene, dots);
+    tracked.samples.iter().flat_map(|s| &s.dots).for_each(|&d| frame.free[d as usize] = false);
+    let step = Step::new(0.01);
+    let jump = PUSH * PUSH * step.jump_variance();
+    let priors: Vec<Option<Prior>> = runners
+        .values()
+        .map(|r| Some(Prior { point: r.filter.position, covariance: *r.filter.covariance(), push: jump }))
+        .collect();
+    let mut found = vec![Vec::new(); priors.len()];
+    for camera in 0..scene.rig.cameras.len() {
+        let matched = match_camera(scene, &frame, camera, &priors, |_| true);
+        matched.pairs.iter().for_each(|&(who, dot)| found[who].push(dot));
+    }
+    let mut samples = Vec::new();
+    for ((track, runner), (mut dots, prior)) in runners.iter_mut().zip(found.into_iter().zip(priors)) {
+        dots.sort_unstable();
+        let Some(prior) = prior.filter(|_| dots.len() >= 2) else { continue };
+        let Some(located) = locate(scene, gates, &frame, &dots, &prior).filter(|l| l.dots.len() >= 2) else {
+            continue;
+        };
+        let Some(sample) = located.sample(&frame, *track, &prior, runner.confidence) else { continue };
+        runner.filter.update(sample.point, &sample.covariance);
+        runner.last = index;
+        samples.push(sample);
+    }
+    samples
+}
+
+fn insert(frame: &mut Tracked, found: Vec<Sample>) {
+    let tracks: Vec<u32> = found.iter().map(|s| s.track).collect();
+    frame.samples.retain(|s| !tracks.contains(&s.track));
+    frame.samples.extend(found);
+    frame.samples.sort_by_key(|s| s.track);
+}

@@ -1,0 +1,49 @@
+//! What a whole take knows better than its single frames: identities that hold from end to end.
+//!
+//! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong.
+//! 2. [`join`]: the pieces are joined by the dynamic model and by motion, with the whole take in view.
+
+pub mod extend;
+pub mod join;
+pub mod tracklets;
+
+use super::Tracked;
+use crate::correspond::frame::Dot;
+use crate::correspond::scene::Scene;
+use extend::extend;
+use join::{Chain, join};
+use tracklets::{Tracklet, cut};
+
+/// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
+pub fn repair(scene: &Scene, frames: &[Tracked], dots: &[Vec<Dot>], times_s: &[f64]) -> Vec<Tracked> {
+    let (tracklets, owner) = cut(frames, times_s);
+    let chains = join(&tracklets, times_s);
+    let identity = identities(&tracklets, &chains);
+    let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
+        let mut samples: Vec<_> = frame
+            .samples
+            .iter()
+            .zip(owner)
+            .filter_map(|(sample, tracklet)| {
+                let track = identity[(*tracklet)?]?;
+                Some(super::Sample { track, confirmed: true, ..sample.clone() })
+            })
+            .collect();
+        samples.sort_by_key(|s| s.track);
+        Tracked { samples, ..*frame }
+    };
+    let mut repaired: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
+    extend(scene, dots, times_s, &mut repaired);
+    repaired
+}
+
+/// Identity of each tracklet: the first of its chain's; `None` for what is no marker.
+fn identities(tracklets: &[Tracklet], chains: &[Chain]) -> Vec<Option<u32>> {
+    let mut identity = vec![None; tracklets.len()];
+    let mut chains: Vec<&Chain> = chains.iter().collect();
+    chains.sort_by_key(|c| c.tracklets[0]);
+    for (number, chain) in chains.into_iter().enumerate() {
+        chain.tracklets.iter().for_each(|&t| identity[t] = Some(number as u32));
+    }
+    identity
+}
