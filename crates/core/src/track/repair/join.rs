@@ -6,29 +6,41 @@
 //! ratio against "two different markers"; distances of one stretch of time count once, not once per frame, because
 //! poses change slowly.
 
+use super::joints::{Path, joint_centers};
 use super::tracklets::Tracklet;
+use crate::assignment::assign;
 use nalgebra::Vector3;
 
 /// Evidence needed to join (nats): the sure cases first, so that the unsure ones have more to go by. In the end little
 /// is needed: a marker that vanishes and another that appears from nowhere are a rare coincidence.
 const ENOUGH: [f64; 6] = [8.0, 5.0, 3.0, 1.0, -1.0, -3.0];
+/// Evidence below which no pair is looked at (nats).
+const LEAST_EVIDENCE: f64 = 4.0;
+/// Rounds of exchanging, and the evidence that an exchange needs (nats).
+const EXCHANGES: usize = 30;
+const WORTH_EXCHANGING: f64 = 1.0;
 /// Frames looked at per comparison.
 const FRAMES: usize = 10;
 /// Frames from which a trajectory's links are learned.
 const PROFILE_FRAMES: usize = 80;
 /// Other trajectories asked; witnesses are not independent, so each counts in part.
 const WITNESSES: usize = 10;
-const SHARE: f64 = 0.6;
-/// Spread of the distance of an unrelated marker (m).
-const UNRELATED: f64 = 0.20;
+const SHARE: f64 = 0.3;
+/// Spread of the distance of another marker that might be taken for this one, by the distance, and its bounds (m).
+const OTHER_BY_LENGTH: f64 = 0.4;
+const OTHER_RANGE: [f64; 2] = [0.03, 0.2];
 /// Spread of a rigid link (m): markers sit on skin.
 const RIGID: f64 = 0.002;
-/// A link that is not rigid may change beyond what was seen: by a part of what was seen, and of its length.
+/// A distance may change beyond what was seen: by a part of what was seen, and of its length. The longer the look (s),
+/// the less.
 const BEYOND_SEEN: f64 = 1.0;
 const BEYOND_LENGTH: f64 = 0.15;
-/// How surely a link is rigid that looks so; how long a look counts in full (s).
-const SURELY_RIGID: f64 = 0.9;
 const LONG_LOOK_S: f64 = 2.0;
+/// How surely a link is rigid that looks so.
+const SURELY_RIGID: f64 = 0.98;
+/// What a link's spread is held for before anything was seen, by its length, and what that belief is worth (samples).
+const UNSEEN_BY_LENGTH: f64 = 0.03;
+const UNSEEN_WORTH: f64 = 2.0;
 /// Acceleration that a limb may undergo unseen (m/s²), and the fastest marker (m/s).
 const ACCELERATION: f64 = 25.0;
 const FASTEST: f64 = 9.0;
@@ -39,6 +51,12 @@ const MOTION_FOR: f64 = 8.0;
 const LIMB_RANGE: f64 = 0.35;
 const MOTION_AGAINST_LATER: f64 = -2.0;
 
+/// Numbers from which the links' other ends are joint centres.
+const JOINTS: usize = 1 << 32;
+/// Measured frames that a chain needs to tell of joints, and chains looked at.
+const SHORTEST_FOR_JOINTS: usize = 60;
+const MOST_FOR_JOINTS: usize = 150;
+
 /// A trajectory in the making: tracklets in order of time.
 #[derive(Clone, Debug)]
 pub struct Chain {
@@ -46,6 +64,15 @@ pub struct Chain {
     pub tracklets: Vec<usize>,
     /// Measured frames.
     pub length: usize,
+}
+
+/// A tracklet that fits another chain better, and the tracklets of that chain that come back for it.
+struct Move {
+    gain: f64,
+    own: usize,
+    other: usize,
+    tracklet: usize,
+    back: Vec<usize>,
 }
 
 /// A witness: another chain, and the distance to it.
@@ -58,18 +85,26 @@ struct Link {
     noise: f64,
     /// Probability that the link is rigid.
     rigid: f64,
+    /// How much may still be unseen, 0–1.
+    unseen: f64,
 }
 
 impl Link {
-    /// Logarithm of how much better this link explains a distance than "some other marker" does.
+    /// Spread to be reckoned with (m).
+    fn loose(&self) -> f64 {
+        RIGID + self.spread + self.unseen * (BEYOND_SEEN * self.spread + BEYOND_LENGTH * self.mean)
+    }
+
+    /// Logarithm of how much better this link explains a distance than "another marker" does.
     fn evidence(&self, distance: f64) -> f64 {
         let off = (distance - self.mean).powi(2);
         let density = |variance: f64| (-0.5 * off / variance).exp() / variance.sqrt();
-        let loose = self.spread + BEYOND_SEEN * self.spread + BEYOND_LENGTH * self.mean;
+        let loose = self.loose();
         let own = self.rigid * density(RIGID * RIGID + self.noise)
             + (1.0 - self.rigid) * density(loose * loose + self.noise);
-        let unrelated = density(UNRELATED * UNRELATED).max(0.05 / UNRELATED);
-        (own.max(1e-6 / UNRELATED) / unrelated).ln()
+        let other = (OTHER_BY_LENGTH * self.mean).clamp(OTHER_RANGE[0], OTHER_RANGE[1]);
+        let another = density(other * other).max(0.05 / other);
+        (own.max(1e-3 / other) / another).ln()
     }
 }
 
@@ -78,18 +113,65 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
     let mut chains: Vec<Chain> =
         tracklets.iter().enumerate().map(|(i, t)| Chain { tracklets: vec![i], length: t.measured }).collect();
     for enough in ENOUGH {
-        while join_once(tracklets, times_s, &mut chains, enough) {}
+        let joints = joints_of(tracklets, &chains, times_s.len());
+        while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
+    }
+    for _ in 0..EXCHANGES {
+        let joints = joints_of(tracklets, &chains, times_s.len());
+        if !exchange(tracklets, times_s, &mut chains, &joints) {
+            break;
+        }
     }
     chains
 }
 
+/// Every tracklet is held against the profiles of all chains; where two chains explain each other's tracklets of one
+/// stretch of time better, these are exchanged. Whether anything changed.
+fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
+    use rayon::prelude::*;
+    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
+    let scene = Scene { tracklets, times_s, chains, by_frame };
+    let profiles: Vec<Vec<Link>> = (0..chains.len()).into_par_iter().map(|c| scene.profile(c)).collect();
+    let seen: Vec<Vec<Distances>> = (0..tracklets.len()).into_par_iter().map(|t| scene.distances_of(t)).collect();
+    let mut moves: Vec<Move> = (0..scene.chains.len())
+        .into_par_iter()
+        .flat_map_iter(|own| scene.moves_from(own, &profiles, &seen))
+        .collect();
+    moves.sort_by(|a, b| b.gain.total_cmp(&a.gain).then((a.own, a.other, a.tracklet).cmp(&(b.own, b.other, b.tracklet))));
+    let mut touched = vec![false; chains.len()];
+    let mut changed = false;
+    for Move { own, other, tracklet: t, back, .. } in moves {
+        if touched[own] || touched[other] {
+            continue;
+        }
+        (touched[own], touched[other], changed) = (true, true, true);
+        chains[own].tracklets.retain(|&x| x != t);
+        chains[other].tracklets.retain(|x| !back.contains(x));
+        chains[other].tracklets.push(t);
+        chains[own].tracklets.extend(back);
+        for c in [own, other] {
+            chains[c].tracklets.sort_unstable_by_key(|&x| tracklets[x].first);
+            chains[c].length = chains[c].tracklets.iter().map(|&x| tracklets[x].measured).sum();
+        }
+    }
+    chains.retain(|c| !c.tracklets.is_empty());
+    changed
+}
+
 /// One round: the pairs with the most evidence are joined, each chain once. Whether anything was joined.
-fn join_once(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, enough: f64) -> bool {
-    let by_frame = by_frame(tracklets, chains, times_s.len());
-    let mut pairs = Scene { tracklets, times_s, chains, by_frame }.pairs(enough);
-    pairs.sort_by(|a, b| b.2.total_cmp(&a.2).then((a.0, a.1).cmp(&(b.0, b.1))));
+fn join_once(
+    tracklets: &[Tracklet],
+    times_s: &[f64],
+    chains: &mut Vec<Chain>,
+    joints: &[Path],
+    enough: f64,
+) -> bool {
+    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
+    let pairs = Scene { tracklets, times_s, chains, by_frame }.pairs(enough);
+    let mut chosen = best_pairs(&pairs, |a, b| tracklets[chains[a].tracklets[0]].first <= tracklets[chains[b].tracklets[0]].first);
+    chosen.sort_by(|a, b| b.2.total_cmp(&a.2).then((a.0, a.1).cmp(&(b.0, b.1))));
     let mut taken = vec![false; chains.len()];
-    for &(a, b, _) in &pairs {
+    for &(a, b, _) in &chosen {
         if !taken[a] && !taken[b] {
             (taken[a], taken[b]) = (true, true);
             let other = std::mem::take(&mut chains[b].tracklets);
@@ -99,7 +181,48 @@ fn join_once(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, e
         }
     }
     chains.retain(|c| !c.tracklets.is_empty());
-    !pairs.is_empty()
+    !chosen.is_empty()
+}
+
+/// The pairs with the greatest total evidence when every chain has at most one successor and one predecessor: of two
+/// markers lost together, the first to come back must not take the wrong one's place because its gap is shorter.
+fn best_pairs(pairs: &[(usize, usize, f64)], in_order: impl Fn(usize, usize) -> bool) -> Vec<(usize, usize, f64)> {
+    let ordered: Vec<(usize, usize)> =
+        pairs.iter().map(|&(a, b, _)| if in_order(a, b) { (a, b) } else { (b, a) }).collect();
+    let mut rows: Vec<usize> = ordered.iter().map(|p| p.0).collect();
+    let mut columns: Vec<usize> = ordered.iter().map(|p| p.1).collect();
+    for list in [&mut rows, &mut columns] {
+        list.sort_unstable();
+        list.dedup();
+    }
+    let mut costs = std::collections::BTreeMap::new();
+    for (index, (a, b)) in ordered.iter().enumerate() {
+        costs.insert((rows.partition_point(|r| r < a), columns.partition_point(|c| c < b)), index);
+    }
+    // Evidence counts from the bottom, so that a joined pair always beats none.
+    let gain = |index: usize| pairs[index].2 + LEAST_EVIDENCE;
+    let found = assign(rows.len(), columns.len(), |r, c| costs.get(&(r, c)).map(|&i| -gain(i)));
+    found.iter().enumerate().filter_map(|(r, c)| c.and_then(|c| costs.get(&(r, c))).map(|&i| pairs[i])).collect()
+}
+
+/// Joint centres by the chains that are long enough to tell.
+fn joints_of(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Path> {
+    let mut order: Vec<&Chain> = chains.iter().filter(|c| c.length >= SHORTEST_FOR_JOINTS).collect();
+    order.sort_by_key(|c| (std::cmp::Reverse(c.length), c.tracklets[0]));
+    order.truncate(MOST_FOR_JOINTS);
+    let (mut paths, mut noise) = (Vec::new(), Vec::new());
+    for chain in order {
+        let mut path = vec![None; frames];
+        let mut variance = 0.0;
+        for &t in &chain.tracklets {
+            let one = &tracklets[t];
+            path[one.first..=one.last()].copy_from_slice(&one.places);
+            variance += one.variance;
+        }
+        paths.push(path);
+        noise.push((variance / chain.length as f64).sqrt());
+    }
+    joint_centers(&paths, &noise)
 }
 
 /// Logarithm of a heavy-tailed density of an offset over that of another marker, within bounds.
@@ -109,8 +232,13 @@ fn ln_near(off: f64, spread: f64) -> f64 {
     (ln_here + ELSEWHERE.ln()).clamp(-MOTION_FOR, MOTION_FOR)
 }
 
-/// Chain of each tracklet present in each frame.
-fn by_frame(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Vec<(usize, Vector3<f64>)>> {
+/// Places of all chains and joint centres in each frame, by ascending number.
+fn by_frame_with(
+    tracklets: &[Tracklet],
+    chains: &[Chain],
+    joints: &[Path],
+    frames: usize,
+) -> Vec<Vec<(usize, Vector3<f64>)>> {
     let mut found = vec![Vec::new(); frames];
     for (c, chain) in chains.iter().enumerate() {
         for &t in &chain.tracklets {
@@ -120,6 +248,10 @@ fn by_frame(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Vec<
                 }
             }
         }
+    }
+    for (number, path) in joints.iter().enumerate() {
+        let seen = path.iter().enumerate().filter_map(|(frame, place)| place.map(|p| (frame, p)));
+        seen.for_each(|(frame, p)| found[frame].push((JOINTS + number, p)));
     }
     found
 }
@@ -204,6 +336,9 @@ impl Scene<'_> {
             }
         }
         let noise = |c: usize| {
+            if c >= JOINTS {
+                return RIGID * RIGID;
+            }
             let own = self.chains[c].tracklets.iter().map(|&t| self.tracklets[t].variance).sum::<f64>();
             own / self.chains[c].length as f64
         };
@@ -211,14 +346,14 @@ impl Scene<'_> {
         let own_noise = noise(chain);
         let link = |(other, [n, mean, squares]): (usize, [f64; 3])| {
             let noise = own_noise + noise(other);
-            let seen = squares / (n - 1.0).max(1.0);
-            let spread = (seen - noise).max(0.0).sqrt();
+            let before = UNSEEN_WORTH * (UNSEEN_BY_LENGTH * mean).powi(2);
+            let spread = ((before + (squares - n * noise).max(0.0)) / (UNSEEN_WORTH + n)).sqrt();
             let looks_rigid = (-0.5 * (spread / RIGID).powi(2)).exp();
-            let rigid = SURELY_RIGID * looks_rigid * (looked_s(n) / LONG_LOOK_S).min(1.0);
-            Link { other, mean, spread, noise, rigid }
+            let unseen = (-looked_s(n) / LONG_LOOK_S).exp();
+            Link { other, mean, spread, noise, rigid: SURELY_RIGID * looks_rigid * (1.0 - unseen), unseen }
         };
         let mut links: Vec<Link> = sums.into_iter().map(link).collect();
-        let use_of = |l: &Link| (1.0 - l.rigid) * (2.0 * l.spread + BEYOND_LENGTH * l.mean) + l.rigid * RIGID;
+        let use_of = |l: &Link| (1.0 - l.rigid) * l.loose() + l.rigid * RIGID;
         links.sort_by(|a, b| use_of(a).total_cmp(&use_of(b)).then(a.other.cmp(&b.other)));
         links
     }
@@ -229,6 +364,78 @@ impl Scene<'_> {
             self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect()
         };
         self.samples(chain, FRAMES).into_iter().map(to_all).collect()
+    }
+
+    /// Exchanges of one chain's tracklets that pay.
+    fn moves_from(&self, own: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Vec<Move> {
+        let mut moves = Vec::new();
+        for &tracklet in &self.chains[own].tracklets {
+            let here = self.links(&profiles[own], &seen[tracklet]);
+            for other in (0..self.chains.len()).filter(|&c| c != own) {
+                let there = self.links(&profiles[other], &seen[tracklet]);
+                if there <= here {
+                    continue;
+                }
+                let back = self.overlapping(other, tracklet);
+                if back.iter().any(|&u| self.overlapping(own, u).iter().any(|&v| v != tracklet)) {
+                    continue;
+                }
+                let returned = |u: &usize| self.links(&profiles[own], &seen[*u]) - self.links(&profiles[other], &seen[*u]);
+                let links = there - here + back.iter().map(returned).sum::<f64>();
+                let Some(motion) = self.motion_gain(own, other, tracklet, &back) else { continue };
+                if links + motion > WORTH_EXCHANGING {
+                    moves.push(Move { gain: links + motion, own, other, tracklet, back });
+                }
+            }
+        }
+        moves
+    }
+
+    /// Distances of one tracklet to all chains.
+    fn distances_of(&self, tracklet: usize) -> Vec<Distances> {
+        let one = &self.tracklets[tracklet];
+        let to_all = |frame: usize| {
+            let place = one.at(frame)?;
+            Some(self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect())
+        };
+        one.frames(FRAMES).into_iter().filter_map(to_all).collect()
+    }
+
+    /// Tracklets of a chain that overlap one in time.
+    fn overlapping(&self, chain: usize, tracklet: usize) -> Vec<usize> {
+        let one = &self.tracklets[tracklet];
+        let overlaps = |u: &usize| {
+            let other = &self.tracklets[*u];
+            other.first <= one.last() && one.first <= other.last()
+        };
+        self.chains[chain].tracklets.iter().copied().filter(overlaps).collect()
+    }
+
+    /// What the evidence of motion gains when a tracklet changes chains and others come back for it.
+    fn motion_gain(&self, own: usize, other: usize, tracklet: usize, back: &[usize]) -> Option<f64> {
+        let without = |chain: usize, out: &[usize], add: &[usize]| {
+            let mut sequence: Vec<usize> =
+                self.chains[chain].tracklets.iter().copied().filter(|t| !out.contains(t)).chain(add.iter().copied()).collect();
+            sequence.sort_unstable_by_key(|&t| self.tracklets[t].first);
+            sequence
+        };
+        let before = self.path_evidence(&self.chains[own].tracklets)? + self.path_evidence(&self.chains[other].tracklets)?;
+        let after = self.path_evidence(&without(own, &[tracklet], back))?
+            + self.path_evidence(&without(other, back, &[tracklet]))?;
+        Some(after - before)
+    }
+
+    /// Evidence of motion along tracklets in order of time; `None` if they overlap or nothing moves so fast.
+    fn path_evidence(&self, sequence: &[usize]) -> Option<f64> {
+        let mut total = 0.0;
+        for pair in sequence.windows(2) {
+            let (before, after) = (&self.tracklets[pair[0]], &self.tracklets[pair[1]]);
+            if before.last() >= after.first {
+                return None;
+            }
+            total += self.bridge(before, after)?;
+        }
+        Some(total)
     }
 
     /// Evidence of the distances: those of one chain under the profile of another.
@@ -243,14 +450,14 @@ impl Scene<'_> {
                 }
             }
             if n > 0.0 {
-                total += sum / n;
+                total += (SHARE + (1.0 - SHARE) * link.rigid) * sum / n;
                 asked += 1;
                 if asked == WITNESSES {
                     break;
                 }
             }
         }
-        SHARE * total
+        total
     }
 
     /// Evidence of motion between neighbours in time; `None` if the chains overlap or nothing moves so fast.

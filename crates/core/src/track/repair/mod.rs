@@ -5,6 +5,7 @@
 
 pub mod extend;
 pub mod join;
+pub mod joints;
 pub mod tracklets;
 
 use super::Tracked;

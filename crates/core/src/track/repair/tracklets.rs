@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 
 /// Hidden for longer (s), or for more frames than two, a marker may come back as another one.
 const SURE_GAP_S: f64 = 0.025;
-/// Two markers nearer than this are in contact (m).
-const CONTACT: f64 = 0.015;
+/// Two markers come into contact when nearer than this, and part when farther than that (m).
+const CONTACT: f64 = 0.008;
+const PARTED: f64 = 0.020;
 
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
@@ -112,11 +113,12 @@ fn changes_of_contact(frame: &Tracked, touching: &mut BTreeMap<(u32, u32), bool>
     for (k, &a) in order.iter().enumerate() {
         for &b in &order[k + 1..] {
             let (one, other) = (&frame.samples[a], &frame.samples[b]);
-            if other.point.x - one.point.x > CONTACT {
+            if other.point.x - one.point.x > PARTED {
                 break;
             }
-            if (one.point - other.point).norm() < CONTACT {
-                let pair = (one.track.min(other.track), one.track.max(other.track));
+            let pair = (one.track.min(other.track), one.track.max(other.track));
+            let reach = if touching.contains_key(&pair) { PARTED } else { CONTACT };
+            if (one.point - other.point).norm() < reach {
                 if touching.insert(pair, true).is_none() {
                     changed.push(pair);
                 }
