@@ -198,7 +198,7 @@ mod tests {
     }
 
     fn state(filter: &Filter) -> SVector<f64, 9> {
-        let mut s = SVector::zeros();
+        let mut s = SVector::<f64, 9>::zeros();
         s.fixed_rows_mut::<3>(0).copy_from(&filter.position);
         s.fixed_rows_mut::<3>(3).copy_from(&filter.velocity);
         s.fixed_rows_mut::<3>(6).copy_from(&filter.acceleration);

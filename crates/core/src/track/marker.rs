@@ -244,6 +244,11 @@ impl Marker {
             self.filter.update(point, &covariance);
             self.state = (point, covariance);
         }
+        // What is given out leans on the rays; the prediction, with room for a push, only helps where they are few.
+        let pull = located.pull_from(&self.prior.point);
+        if let Some(state) = posterior(&self.prior.point, &self.prior.wide(), information, &pull) {
+            self.state = state;
+        }
     }
 
     /// Starts the filter anew after a long absence.

@@ -51,10 +51,12 @@ const MOTION_FOR: f64 = 8.0;
 const LIMB_RANGE: f64 = 0.35;
 const MOTION_AGAINST_LATER: f64 = -2.0;
 
+/// How much less is unseen of a joint centre's distance.
+const DOUBT_IN_JOINTS: f64 = 0.2;
 /// Numbers from which the links' other ends are joint centres.
 const JOINTS: usize = 1 << 32;
 /// Measured frames that a chain needs to tell of joints, and chains looked at.
-const SHORTEST_FOR_JOINTS: usize = 60;
+const SHORTEST_FOR_JOINTS: usize = 40;
 const MOST_FOR_JOINTS: usize = 150;
 
 /// A trajectory in the making: tracklets in order of time.
@@ -349,7 +351,9 @@ impl Scene<'_> {
             let before = UNSEEN_WORTH * (UNSEEN_BY_LENGTH * mean).powi(2);
             let spread = ((before + (squares - n * noise).max(0.0)) / (UNSEEN_WORTH + n)).sqrt();
             let looks_rigid = (-0.5 * (spread / RIGID).powi(2)).exp();
-            let unseen = (-looked_s(n) / LONG_LOOK_S).exp();
+            // A joint centre has been found because distances to it do not change.
+            let doubt = if other >= JOINTS { DOUBT_IN_JOINTS } else { 1.0 };
+            let unseen = doubt * (-looked_s(n) / LONG_LOOK_S).exp();
             Link { other, mean, spread, noise, rigid: SURELY_RIGID * looks_rigid * (1.0 - unseen), unseen }
         };
         let mut links: Vec<Link> = sums.into_iter().map(link).collect();

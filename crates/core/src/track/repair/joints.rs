@@ -6,15 +6,15 @@
 //! can; and with a segment's two markers it makes a frame for the next joint.
 
 use crate::track::body::rotation::align;
-use nalgebra::{Matrix4, Rotation3, Vector3, Vector4};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Positions of one marker by frame.
 pub type Path = Vec<Option<Vector3<f64>>>;
 
 /// Frames from which shapes and spheres are fitted.
-const FRAMES: usize = 400;
+const FRAMES: usize = 900;
 /// Frames that two markers must share to be compared.
-const SHARED: usize = 40;
+const SHARED: usize = 15;
 /// Spread of a distance that is rigid, beyond noise (m).
 const RIGID: f64 = 0.002;
 /// Longest distance within a part of the body (m).
@@ -29,6 +29,10 @@ const LARGEST_RADIUS: f64 = 0.6;
 const ON_SPHERE: f64 = 0.85;
 /// Centres nearer to each other than this are one joint (m).
 const SAME_JOINT: f64 = 0.02;
+/// Standard deviation in its least certain direction that a centre may have (m), and how many neighbouring places say the
+/// same.
+const UNCERTAIN: f64 = 0.006;
+const REPEATS: f64 = 5.0;
 /// Chains of joints that are followed: shoulder, elbow, wrist.
 const LEVELS: usize = 3;
 
@@ -116,119 +120,172 @@ fn frames_of_reference(paths: &[Path], noise: &[f64]) -> Vec<Vec<usize>> {
     sets
 }
 
-/// Pose of a frame of reference: rotation from world to local, and the centroid.
+/// Pose of a frame of reference: rotation from world to local, and its origin in the world.
 type Pose = (Rotation3<f64>, Vector3<f64>);
 
-/// The members' mean shape and their pose in each frame in which all are seen.
+/// The pose of the members in each frame in which three or more are seen, by their mean shape.
 fn poses(paths: &[Path], members: &[usize]) -> Option<Vec<Option<Pose>>> {
     let frames = paths[members[0]].len();
-    let at = |f: usize| -> Option<(Vector3<f64>, Vec<Vector3<f64>>)> {
-        let points: Vec<Vector3<f64>> = members.iter().map(|&m| paths[m][f]).collect::<Option<_>>()?;
-        let center = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-        Some((center, points.iter().map(|p| p - center).collect()))
-    };
     let weights = vec![1.0; members.len()];
-    let mut shape = (0..frames).find_map(at)?.1;
+    let seen = |f: usize| -> Vec<(usize, Vector3<f64>)> {
+        members.iter().enumerate().filter_map(|(i, &m)| paths[m][f].map(|p| (i, p))).collect()
+    };
+    let all = |f: usize| -> Option<Vec<Vector3<f64>>> {
+        (seen(f).len() == members.len()).then(|| seen(f).into_iter().map(|(_, p)| p).collect())
+    };
+    let mut shape: Vec<Vector3<f64>> = about_mean(&(0..frames).find_map(all)?).1;
     for _ in 0..2 {
         let mut sum = vec![Vector3::zeros(); members.len()];
         let (mut count, mut guess) = (0.0, Rotation3::identity());
-        for (_, points) in sample(frames).filter_map(at) {
+        for points in sample(frames).filter_map(all) {
+            let (_, points) = about_mean(&points);
             guess = align(&points, &shape, &weights, guess);
             sum.iter_mut().zip(&points).for_each(|(s, p)| *s += guess * p);
             count += 1.0;
         }
-        shape = sum.into_iter().map(|s| s / count).collect();
+        shape = sum.into_iter().map(|s| s / f64::max(count, 1.0)).collect();
     }
-    let second = second_extent(&shape);
-    if second < SMALLEST_FRAME {
+    if second_extent(&shape) < SMALLEST_FRAME {
         return None;
     }
     let mut guess = Rotation3::identity();
     let pose = |f: usize| {
-        let (center, points) = at(f)?;
-        guess = align(&points, &shape, &weights, guess);
-        Some((guess, center))
+        let (own, points): (Vec<usize>, Vec<Vector3<f64>>) = seen(f).into_iter().unzip();
+        if points.len() < 3 {
+            return None;
+        }
+        let (center, points) = about_mean(&points);
+        let (offset, part) = about_mean(&own.iter().map(|&i| shape[i]).collect::<Vec<_>>());
+        if second_extent(&part) < SMALLEST_FRAME {
+            return None;
+        }
+        guess = align(&points, &part, &weights[..points.len()], guess);
+        Some((guess, center - guess.inverse() * offset))
     };
     Some((0..frames).map(pose).collect())
+}
+
+/// The mean of points, and the points relative to it.
+fn about_mean(points: &[Vector3<f64>]) -> (Vector3<f64>, Vec<Vector3<f64>>) {
+    let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    (mean, points.iter().map(|p| p - mean).collect())
 }
 
 /// Second largest extent of points about their mean (m, standard deviation).
 fn second_extent(points: &[Vector3<f64>]) -> f64 {
     let n = points.len() as f64;
     let mean = points.iter().sum::<Vector3<f64>>() / n;
-    let moments = points.iter().fold(nalgebra::Matrix3::zeros(), |m, p| m + (p - mean) * (p - mean).transpose());
+    let moments = points.iter().fold(Matrix3::zeros(), |m, p| m + (p - mean) * (p - mean).transpose());
     let mut values: [f64; 3] = moments.symmetric_eigenvalues().into();
     values.sort_unstable_by(f64::total_cmp);
     (values[1].max(0.0) / n).sqrt()
 }
 
-/// Joint centres of the markers that turn about this frame of reference.
+/// Joint centres of the markers that turn about this frame of reference. The arcs that turn
+/// about one centre are fitted together.
 fn centers_about(paths: &[Path], noise: &[f64], members: &[usize], known: usize) -> Vec<Path> {
     let Some(poses) = poses(paths, members) else { return Vec::new() };
-    let mut centers: Vec<(Vector3<f64>, f64)> = Vec::new();
+    let mut arcs: Vec<Arc> = Vec::new();
     for marker in (0..known).filter(|m| !members.contains(m)) {
-        let local: Vec<Vector3<f64>> = sample(poses.len())
+        let places: Vec<Vector3<f64>> = sample(poses.len())
             .filter_map(|f| poses[f].and_then(|(turn, center)| paths[marker][f].map(|p| turn * (p - center))))
             .collect();
-        if local.len() >= SHARED
-            && second_extent(&local) > SMALLEST_ARC
-            && let Some(center) = sphere(&local, 2.0 * RIGID + 2.0 * noise[marker])
-        {
-            let weight = local.len() as f64 * second_extent(&local);
-            match centers.iter_mut().find(|(c, _)| (*c - center).norm() < SAME_JOINT) {
-                Some((c, w)) => {
-                    *c += (center - *c) * (weight / (*w + weight));
-                    *w += weight;
-                }
-                None => centers.push((center, weight)),
-            }
+        let arc = Arc { places, tolerance_m: 2.0 * RIGID + 2.0 * noise[marker] };
+        if arc.places.len() < SHARED || second_extent(&arc.places) < SMALLEST_ARC {
+            continue;
+        }
+        if fitted(&[&arc]).is_some_and(|fit| arc.lies_about(&fit.center)) {
+            arcs.push(arc);
         }
     }
-    let path = |(center, _): &(Vector3<f64>, f64)| {
+    let path = |center: Vector3<f64>| {
         poses.iter().map(|p| p.map(|(turn, origin)| origin + turn.inverse() * center)).collect()
     };
-    centers.iter().map(path).collect()
+    agreed(arcs).into_iter().map(path).collect()
 }
 
-/// Centre of the sphere on which places lie; `None` if too many lie off it. Places off it are left out of a second fit.
-fn sphere(places: &[Vector3<f64>], tolerance_m: f64) -> Option<Vector3<f64>> {
-    let mut center = algebraic(places)?;
-    for _ in 0..3 {
-        let mut radii: Vec<f64> = places.iter().map(|p| (p - center).norm()).collect();
+/// A marker's places in the frame of reference.
+struct Arc {
+    places: Vec<Vector3<f64>>,
+    tolerance_m: f64,
+}
+
+impl Arc {
+    /// Whether the places lie on a sphere about a centre.
+    fn lies_about(&self, center: &Vector3<f64>) -> bool {
+        let mut radii: Vec<f64> = self.places.iter().map(|p| (p - center).norm()).collect();
         radii.sort_unstable_by(f64::total_cmp);
         let radius = radii[radii.len() / 2];
-        let on: Vec<Vector3<f64>> =
-            places.iter().filter(|p| ((*p - center).norm() - radius).abs() < 3.0 * tolerance_m).copied().collect();
-        if (on.len() as f64) < 0.6 * places.len() as f64 {
-            return None;
-        }
-        center = algebraic(&on)?;
+        let on = radii.iter().filter(|r| (*r - radius).abs() < self.tolerance_m).count();
+        radius < LARGEST_RADIUS && on as f64 > ON_SPHERE * self.places.len() as f64
     }
-    let mut radii: Vec<f64> = places.iter().map(|p| (p - center).norm()).collect();
-    radii.sort_unstable_by(f64::total_cmp);
-    let radius = radii[radii.len() / 2];
-    let on = radii.iter().filter(|r| (*r - radius).abs() < tolerance_m).count();
-    (radius < LARGEST_RADIUS && on as f64 > ON_SPHERE * places.len() as f64).then_some(center)
 }
 
-/// |p|² = 2 c·p + k about the mean, with a hair of damping along directions in which the places do not move.
-fn algebraic(places: &[Vector3<f64>]) -> Option<Vector3<f64>> {
-    let n = places.len() as f64;
-    let mean = places.iter().sum::<Vector3<f64>>() / n;
-    let mut matrix = Matrix4::zeros();
-    let mut right = Vector4::zeros();
-    for p in places {
-        let d = p - mean;
-        let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
-        matrix += row * row.transpose();
-        right += row * d.norm_squared();
+/// The centres on which arcs agree, from the best determined arc to the least.
+fn agreed(mut arcs: Vec<Arc>) -> Vec<Vector3<f64>> {
+    let uncertainty = |a: &Arc| fitted(&[a]).map_or(f64::INFINITY, |f| f.uncertainty_m);
+    arcs.sort_by(|a, b| uncertainty(a).total_cmp(&uncertainty(b)));
+    let mut centers = Vec::new();
+    while !arcs.is_empty() {
+        let Some(mut fit) = fitted(&[&arcs[0]]) else { break };
+        let mut kept = vec![0];
+        for i in 1..arcs.len() {
+            if arcs[i].lies_about(&fit.center) || fit.uncertainty_m > UNCERTAIN {
+                let with: Vec<&Arc> = kept.iter().chain([&i]).map(|&k| &arcs[k]).collect();
+                if let Some(better) = fitted(&with).filter(|f| with.iter().all(|a| a.lies_about(&f.center))) {
+                    fit = better;
+                    kept.push(i);
+                }
+            }
+        }
+        if fit.uncertainty_m < UNCERTAIN {
+            centers.push(fit.center);
+        }
+        let mut index = 0;
+        arcs.retain(|_| {
+            index += 1;
+            !kept.contains(&(index - 1))
+        });
     }
-    let damping = 1e-5 * n;
-    for i in 0..3 {
-        matrix[(i, i)] += damping;
+    centers
+}
+
+/// A fitted centre.
+struct Center {
+    center: Vector3<f64>,
+    uncertainty_m: f64,
+}
+
+/// |p|² = 2 c·p + k with one c for all arcs and one k for each, taken out by centring; a hair of damping along
+/// directions in which nothing moves. `None` without places.
+fn fitted(arcs: &[&Arc]) -> Option<Center> {
+    let mut matrix = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    let (mut sum, mut count): (Vector3<f64>, f64) = (Vector3::zeros(), 0.0);
+    let mean_of = |a: &Arc| a.places.iter().sum::<Vector3<f64>>() / a.places.len() as f64;
+    for arc in arcs {
+        sum += arc.places.iter().sum::<Vector3<f64>>();
+        count += arc.places.len() as f64;
     }
-    let solved = matrix.try_inverse()? * right;
-    Some(mean + solved.xyz())
+    let origin = sum / count.max(1.0);
+    for arc in arcs {
+        let mean = mean_of(arc) - origin;
+        let n = arc.places.len() as f64;
+        let mean_square = arc.places.iter().map(|p| (p - origin).norm_squared()).sum::<f64>() / n;
+        for p in &arc.places {
+            let d = p - origin;
+            let off = d - mean;
+            matrix += off * off.transpose() * 2.0;
+            right += off * (d.norm_squared() - mean_square);
+        }
+    }
+    matrix += Matrix3::identity() * (1e-6 * count);
+    let inverse = (count > 0.0).then(|| matrix.try_inverse()).flatten()?;
+    let center = origin + inverse * right;
+    // d |p|² = 2 r dr: the residuals of the linear equations are 2 r times those of the radius.
+    let noise: f64 = arcs.iter().map(|a| a.tolerance_m).fold(0.0, f64::max) * (mean_of(arcs[0]) - center).norm();
+    let largest = inverse.symmetric_eigenvalues().max().max(0.0);
+    Some(Center { center, uncertainty_m: (2.0 * noise * noise * largest * REPEATS).sqrt() })
 }
 
 #[cfg(test)]
