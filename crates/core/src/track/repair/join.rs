@@ -14,6 +14,7 @@ use nalgebra::Vector3;
 /// Evidence needed to join (nats): the sure cases first, so that the unsure ones have more to go by. In the end little
 /// is needed: a marker that vanishes and another that appears from nowhere are a rare coincidence.
 const ENOUGH: [f64; 6] = [8.0, 5.0, 3.0, 1.0, -1.0, -3.0];
+const ENOUGH_FOR_FLICKERS: [f64; 3] = [8.0, 5.0, 2.0];
 /// Evidence below which no pair is looked at (nats).
 const LEAST_EVIDENCE: f64 = 4.0;
 /// Rounds of exchanging, and the evidence that an exchange needs (nats).
@@ -110,10 +111,11 @@ impl Link {
     }
 }
 
-/// Joins tracklets into chains.
+/// Joins tracklets into chains. Flickers come last, and those that nothing speaks for are left out.
 pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
-    let mut chains: Vec<Chain> =
-        tracklets.iter().enumerate().map(|(i, t)| Chain { tracklets: vec![i], length: t.measured }).collect();
+    let single = |i: usize| Chain { tracklets: vec![i], length: tracklets[i].measured };
+    let all = 0..tracklets.len();
+    let mut chains: Vec<Chain> = all.clone().filter(|&i| !tracklets[i].is_flicker()).map(single).collect();
     for enough in ENOUGH {
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
@@ -124,6 +126,12 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
             break;
         }
     }
+    chains.extend(all.filter(|&i| tracklets[i].is_flicker()).map(single));
+    for enough in ENOUGH_FOR_FLICKERS {
+        let joints = joints_of(tracklets, &chains, times_s.len());
+        while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
+    }
+    chains.retain(|c| c.tracklets.iter().any(|&t| !tracklets[t].is_flicker()));
     chains
 }
 

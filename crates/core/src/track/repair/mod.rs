@@ -15,13 +15,9 @@ use extend::extend;
 use join::{Chain, join};
 use tracklets::{Tracklet, cut};
 
-/// Measured frames up to which a stretch may be a chance meeting of rays.
-const FLICKER: usize = 2;
-
 /// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
 pub fn repair(scene: &Scene, frames: &[Tracked], dots: &[Vec<Dot>], times_s: &[f64]) -> Vec<Tracked> {
     let (tracklets, owner) = cut(frames, times_s);
-    let (tracklets, owner) = without_flickers(tracklets, owner);
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
@@ -40,27 +36,6 @@ pub fn repair(scene: &Scene, frames: &[Tracked], dots: &[Vec<Dot>], times_s: &[f
     let mut repaired: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
     extend(scene, dots, times_s, &mut repaired);
     repaired
-}
-
-/// Leaves out stretches of a frame or two that only pairs of cameras saw: where such a stretch is real, the
-/// trajectory that it belongs to is prolonged into it again.
-fn without_flickers(
-    tracklets: Vec<Tracklet>,
-    mut owner: Vec<Vec<Option<usize>>>,
-) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
-    let mut kept = Vec::with_capacity(tracklets.len());
-    let mut number = Vec::with_capacity(tracklets.len());
-    for tracklet in tracklets {
-        let flicker = tracklet.measured <= FLICKER && tracklet.wide < tracklet.measured;
-        number.push((!flicker).then_some(kept.len()));
-        if !flicker {
-            kept.push(tracklet);
-        }
-    }
-    for one in owner.iter_mut().flatten() {
-        *one = one.and_then(|t| number[t]);
-    }
-    (kept, owner)
 }
 
 /// Identity of each tracklet: the first of its chain's; `None` for what is no marker.

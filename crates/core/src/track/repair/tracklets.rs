@@ -13,6 +13,9 @@ const SURE_GAP_S: f64 = 0.025;
 const CONTACT: f64 = 0.008;
 const PARTED: f64 = 0.020;
 
+/// Measured frames up to which a stretch may be a chance meeting of rays.
+const FLICKER: usize = 2;
+
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
 pub struct Tracklet {
@@ -31,6 +34,11 @@ pub struct Tracklet {
 }
 
 impl Tracklet {
+    /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
+    pub fn is_flicker(&self) -> bool {
+        self.measured <= FLICKER && self.wide < self.measured
+    }
+
     /// Index of the last frame.
     pub fn last(&self) -> usize {
         self.first + self.places.len() - 1
