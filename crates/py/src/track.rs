@@ -76,7 +76,7 @@ impl PyTracker {
         if confirmed_only {
             return arrays(py, &self.recorded, &self.starts, true);
         }
-        let kept = py.detach(|| repair(self.tracker.scene(), &self.recorded, &self.dots, &self.times_s));
+        let kept = py.detach(|| repair(self.tracker.scene(), &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
         arrays(py, &kept, &self.starts, false)
     }
 }

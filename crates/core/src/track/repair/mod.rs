@@ -1,22 +1,32 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong.
-//! 2. [`join`]: the pieces are joined by the dynamic model and by motion, with the whole take in view.
+//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion.
+//! 3. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
+//! 4. [`carry`]: what stays hidden is predicted from both ends of each gap.
 
+pub mod carry;
 pub mod extend;
 pub mod join;
 pub mod joints;
 pub mod tracklets;
 
-use super::Tracked;
+use super::{TrackOptions, Tracked};
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
+use carry::carry;
 use extend::extend;
 use join::{Chain, join};
 use tracklets::{Tracklet, cut};
 
 /// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
-pub fn repair(scene: &Scene, frames: &[Tracked], dots: &[Vec<Dot>], times_s: &[f64]) -> Vec<Tracked> {
+pub fn repair(
+    scene: &Scene,
+    options: &TrackOptions,
+    frames: &[Tracked],
+    dots: &[Vec<Dot>],
+    times_s: &[f64],
+) -> Vec<Tracked> {
     let (tracklets, owner) = cut(frames, times_s);
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
@@ -35,6 +45,7 @@ pub fn repair(scene: &Scene, frames: &[Tracked], dots: &[Vec<Dot>], times_s: &[f
     };
     let mut repaired: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
     extend(scene, dots, times_s, &mut repaired);
+    carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
 
