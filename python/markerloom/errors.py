@@ -14,4 +14,3 @@ class FormatError(MarkerloomError):
         """Say which file, where in it, and what is wrong."""
         place = f", {where}" if where else ""
         super().__init__(f"{Path(path).name}{place}: {problem} ({path})")
-

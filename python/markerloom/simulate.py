@@ -59,7 +59,7 @@ class Scene:
 
 FIGURES = ("walk", "dance", "duet")
 DUET_DISTANCE_M = 0.7
-FIGURE = {
+FIGURE: dict[str, object] = {
     "markers": 41,
     "cameras": 8,
     "distance_m": 4.5,

@@ -11,16 +11,13 @@ import pyarrow as pa
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.observations import MatchedDots, Observations
-from markerloom.points import Points
 from markerloom.reconstruct import (
     CHUNK_FRAMES,
     Progress,
     Reconstruction,
     _arrays,
-    _residual_by_camera,
     _timing,
     _usable,
-    statistics,
 )
 from markerloom.rig import Rig
 
@@ -30,13 +27,19 @@ def track(
     rig: Rig,
     *,
     rate_hz: float | None = None,
-    method: str = "default",
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
-    threads: int = 0,
     noise_px: float | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
+    """Follow every marker of a take through time.
+
+    ``causal``: exactly what a live user would have seen; otherwise the whole take decides about identities, and gaps
+    are carried from both ends. ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is
+    known. ``progress(done, total)`` is called now and then.
+
+    Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known.
+    """
     if frames is not None:
         observations = observations.select(*frames)
     rate = rate_hz or observations.rate_hz
@@ -52,6 +55,8 @@ def track(
         last = min(first + CHUNK_FRAMES, len(dots.frames))
         start = time.perf_counter()
         tracker.record(_arrays(dots, first, last), dots.frames[first:last].tolist(), [None] * (last - first))
+        if progress:
+            progress(last, len(dots.frames))
         ms += [1000 * (time.perf_counter() - start) / (last - first)] * (last - first)
     solved = tracker.recorded(causal)
     solved["sizes"] = np.diff(solved["dot_starts"])

@@ -23,9 +23,9 @@ pub fn assign(rows: usize, columns: usize, cost: impl Fn(usize, usize) -> Option
     }
     let owner = augment(&matrix, rows, width);
     let mut found = vec![None; rows];
-    for column in 0..columns {
-        if let Some(row) = owner[column] {
-            found[row] = Some(column);
+    for (column, row) in owner.iter().take(columns).enumerate() {
+        if let Some(row) = row {
+            found[*row] = Some(column);
         }
     }
     found

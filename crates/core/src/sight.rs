@@ -120,11 +120,7 @@ impl Normal {
     pub fn of_prior(information: &nalgebra::Matrix3<f64>, offset: &Vector3<f64>) -> Self {
         let i = information;
         let v = i * offset;
-        Self {
-            m: [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]],
-            v: v.into(),
-            c: offset.dot(&v),
-        }
+        Self { m: [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]], v: v.into(), c: offset.dot(&v) }
     }
 
     /// Adds a multiple of the identity (m⁻²) to the information: keeps ill-conditioned pairs solvable.

@@ -28,7 +28,14 @@ impl PyTracker {
     fn new(rig: &PyRig, model: &PyModel, rate_hz: f64) -> PyResult<Self> {
         let tracker = Tracker::new(&rig.inner, &model.inner, rate_hz, TrackOptions::default())
             .map_err(|e| InputError::new_err(e.to_string()))?;
-        Ok(Self { tracker, cameras: rig.inner.cameras.len(), recorded: Vec::new(), starts: vec![0], times_s: Vec::new(), dots: Vec::new() })
+        Ok(Self {
+            tracker,
+            cameras: rig.inner.cameras.len(),
+            recorded: Vec::new(),
+            starts: vec![0],
+            times_s: Vec::new(),
+            dots: Vec::new(),
+        })
     }
 
     /// Follows the markers through one frame (`dots` holds just that one); its samples as arrays.
@@ -76,7 +83,9 @@ impl PyTracker {
         if confirmed_only {
             return arrays(py, &self.recorded, &self.starts, true);
         }
-        let kept = py.detach(|| repair(self.tracker.scene(), &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
+        let kept = py.detach(|| {
+            repair(self.tracker.scene(), &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s)
+        });
         arrays(py, &kept, &self.starts, false)
     }
 }

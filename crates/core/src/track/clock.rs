@@ -19,7 +19,9 @@ pub enum TimeError {
     #[error("a frame rate of {0} Hz: state a rate above 0")]
     Rate(f64),
     /// A frame number or a time that does not come after the last one.
-    #[error("frame {frame}: its time {time_s} s is not after the last frame's {last_s} s; frames must come in order of time")]
+    #[error(
+        "frame {frame}: its time {time_s} s is not after the last frame's {last_s} s; frames must come in order of time"
+    )]
     Backwards {
         /// The frame.
         frame: i64,

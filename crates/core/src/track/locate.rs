@@ -95,12 +95,7 @@ fn worst(scene: &Scene, sights: &[&Sight], prior: &Prior, information: &Matrix3<
 }
 
 /// Position and cost of all sights with the prediction.
-fn solve(
-    scene: &Scene,
-    sights: &[&Sight],
-    prior: &Prior,
-    information: &Matrix3<f64>,
-) -> Option<(Vector3<f64>, f64)> {
+fn solve(scene: &Scene, sights: &[&Sight], prior: &Prior, information: &Matrix3<f64>) -> Option<(Vector3<f64>, f64)> {
     let (mut point, mut cost) = (prior.point, 0.0);
     for round in 0..6 {
         let minimum = step(scene, sights, prior, information, &point)?;

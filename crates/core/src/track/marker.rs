@@ -132,15 +132,14 @@ impl Marker {
 
     /// A better prediction of a hidden marker, with its neighbours.
     pub fn carry(&mut self, carried: &Carried) {
-        self.prior =
-            Prior { point: carried.point, covariance: carried.covariance, push: carried.covariance.trace() };
+        self.prior = Prior { point: carried.point, covariance: carried.covariance, push: carried.covariance.trace() };
     }
 
     /// What is known after this frame's first look, as a prediction for a second.
     pub fn posterior_prior(&self) -> Prior {
         let Some(located) = &self.located else { return self.prior };
         let information = self.prior.wide().try_inverse().map(|i| i + located.information);
-        let covariance = information.and_then(|i| i.try_inverse()).unwrap_or(self.prior.covariance);
+        let covariance = information.and_then(Matrix3::try_inverse).unwrap_or(self.prior.covariance);
         Prior { point: located.point, covariance, push: 0.0 }
     }
 

@@ -25,10 +25,10 @@ mod view;
 pub use clock::{Moment, TimeError};
 
 use crate::camera::Rig;
+use crate::correspond::Group;
 use crate::correspond::frame::{Dot, PreparedFrame};
 use crate::correspond::optimal::{OptimalOptions, optimal};
 use crate::correspond::scene::{Scene, SceneModel};
-use crate::correspond::Group;
 use body::{Body, Seen};
 use clock::Clock;
 use filter::Step;
@@ -265,7 +265,8 @@ impl Tracker {
 
     /// Offers left-over dots to markers that are known well by now, camera by camera.
     fn regate(&mut self, frame: &mut Frame) {
-        let priors: Vec<Option<Prior>> = self.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
+        let priors: Vec<Option<Prior>> =
+            self.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
         let mut more: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
         for camera in 0..self.scene.rig.cameras.len() {
             if !frame.by_camera[camera].iter().any(|&d| frame.free[d as usize]) {
@@ -294,7 +295,8 @@ impl Tracker {
         let left: Vec<usize> = frame.left_over().into_iter().filter(|&d| !is_half(frame, d)).collect();
         let live = self.markers.iter().filter(|m| m.is_found()).count() as f64;
         let lost = self.markers.iter().filter(|m| !m.is_found()).count() as f64;
-        let missing = (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
+        let missing =
+            (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
         self.scene.ln_expected = (missing + BIRTHS_PER_FRAME).ln();
         if left.len() < 2 {
             return (Vec::new(), left.len(), false);
@@ -336,8 +338,7 @@ impl Tracker {
     /// Filters take in the measurements; markers count their hits and misses.
     fn settle(&mut self, step: &Step) {
         let time_s = self.time_s();
-        let velocities: Vec<Option<Vector3<f64>>> =
-            self.places(|m| m.is_live().then_some(m.filter.velocity));
+        let velocities: Vec<Option<Vector3<f64>>> = self.places(|m| m.is_live().then_some(m.filter.velocity));
         for marker in &mut self.markers {
             let drift = mean_velocity(&self.body, marker.slot, &velocities);
             marker.settle(step, time_s, drift);

@@ -117,9 +117,9 @@ impl Body {
             now[s.slot] = Some(s.point);
             (self.lost[s.slot], self.fits[s.slot]) = (None, None);
         }
-        for slot in 0..now.len() {
+        for (slot, place) in now.iter().enumerate() {
             let was_seen = self.last.front().is_some_and(|(_, s)| s.get(slot).is_some_and(Option::is_some));
-            if was_seen && now[slot].is_none() {
+            if was_seen && place.is_none() {
                 self.lost[slot] = Some(self.last.iter().cloned().collect());
             }
         }

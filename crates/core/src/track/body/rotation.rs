@@ -7,12 +7,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// The rotation R that minimises Σ w |R a − b|², for points relative to their centroids.
-pub fn align(
-    a: &[Vector3<f64>],
-    b: &[Vector3<f64>],
-    weights: &[f64],
-    guess: Rotation3<f64>,
-) -> Rotation3<f64> {
+pub fn align(a: &[Vector3<f64>], b: &[Vector3<f64>], weights: &[f64], guess: Rotation3<f64>) -> Rotation3<f64> {
     let mut rotation = guess;
     for _ in 0..30 {
         let (mut torque, mut cross, mut dot) = (Vector3::zeros(), Matrix3::zeros(), 0.0);

@@ -35,14 +35,7 @@ pub fn extend(scene: &Scene, dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [T
     }
 }
 
-fn run(
-    scene: &Scene,
-    gates: &LocateGates,
-    dots: &[Vec<Dot>],
-    times_s: &[f64],
-    frames: &mut [Tracked],
-    forwards: bool,
-) {
+fn run(scene: &Scene, gates: &LocateGates, dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked], forwards: bool) {
     let n = frames.len();
     let mut runners: BTreeMap<u32, Runner> = BTreeMap::new();
     let mut recent: BTreeMap<u32, Vec<(usize, Sample)>> = BTreeMap::new();

@@ -103,8 +103,8 @@ impl Link {
         let off = (distance - self.mean).powi(2);
         let density = |variance: f64| (-0.5 * off / variance).exp() / variance.sqrt();
         let loose = self.loose();
-        let own = self.rigid * density(RIGID * RIGID + self.noise)
-            + (1.0 - self.rigid) * density(loose * loose + self.noise);
+        let own =
+            self.rigid * density(RIGID * RIGID + self.noise) + (1.0 - self.rigid) * density(loose * loose + self.noise);
         let other = (OTHER_BY_LENGTH * self.mean).clamp(OTHER_RANGE[0], OTHER_RANGE[1]);
         let another = density(other * other).max(0.05 / other);
         (own.max(1e-3 / other) / another).ln()
@@ -143,11 +143,11 @@ fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, jo
     let scene = Scene { tracklets, times_s, chains, by_frame };
     let profiles: Vec<Vec<Link>> = (0..chains.len()).into_par_iter().map(|c| scene.profile(c)).collect();
     let seen: Vec<Vec<Distances>> = (0..tracklets.len()).into_par_iter().map(|t| scene.distances_of(t)).collect();
-    let mut moves: Vec<Move> = (0..scene.chains.len())
-        .into_par_iter()
-        .flat_map_iter(|own| scene.moves_from(own, &profiles, &seen))
-        .collect();
-    moves.sort_by(|a, b| b.gain.total_cmp(&a.gain).then((a.own, a.other, a.tracklet).cmp(&(b.own, b.other, b.tracklet))));
+    let mut moves: Vec<Move> =
+        (0..scene.chains.len()).into_par_iter().flat_map_iter(|own| scene.moves_from(own, &profiles, &seen)).collect();
+    moves.sort_by(|a, b| {
+        b.gain.total_cmp(&a.gain).then((a.own, a.other, a.tracklet).cmp(&(b.own, b.other, b.tracklet)))
+    });
     let mut touched = vec![false; chains.len()];
     let mut changed = false;
     for Move { own, other, tracklet: t, back, .. } in moves {
@@ -169,16 +169,11 @@ fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, jo
 }
 
 /// One round: the pairs with the most evidence are joined, each chain once. Whether anything was joined.
-fn join_once(
-    tracklets: &[Tracklet],
-    times_s: &[f64],
-    chains: &mut Vec<Chain>,
-    joints: &[Path],
-    enough: f64,
-) -> bool {
+fn join_once(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path], enough: f64) -> bool {
     let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
     let pairs = Scene { tracklets, times_s, chains, by_frame }.pairs(enough);
-    let mut chosen = best_pairs(&pairs, |a, b| tracklets[chains[a].tracklets[0]].first <= tracklets[chains[b].tracklets[0]].first);
+    let mut chosen =
+        best_pairs(&pairs, |a, b| tracklets[chains[a].tracklets[0]].first <= tracklets[chains[b].tracklets[0]].first);
     chosen.sort_by(|a, b| b.2.total_cmp(&a.2).then((a.0, a.1).cmp(&(b.0, b.1))));
     let mut taken = vec![false; chains.len()];
     for &(a, b, _) in &chosen {
@@ -281,8 +276,7 @@ impl Scene<'_> {
     fn pairs(&self, enough: f64) -> Vec<(usize, usize, f64)> {
         use rayon::prelude::*;
         let profiles: Vec<Vec<Link>> = (0..self.chains.len()).into_par_iter().map(|c| self.profile(c)).collect();
-        let samples: Vec<Vec<Distances>> =
-            (0..self.chains.len()).into_par_iter().map(|c| self.distances(c)).collect();
+        let samples: Vec<Vec<Distances>> = (0..self.chains.len()).into_par_iter().map(|c| self.distances(c)).collect();
         (0..self.chains.len())
             .into_par_iter()
             .flat_map_iter(|a| {
@@ -293,7 +287,7 @@ impl Scene<'_> {
                         return None;
                     }
                     let motion = self.motion(a, b)?;
-                    let total = motion + self.links(&profiles[a], &samples[b]);
+                    let total = motion + Self::links(&profiles[a], &samples[b]);
                     (total > enough).then_some((a, b, total))
                 })
             })
@@ -382,9 +376,9 @@ impl Scene<'_> {
     fn moves_from(&self, own: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Vec<Move> {
         let mut moves = Vec::new();
         for &tracklet in &self.chains[own].tracklets {
-            let here = self.links(&profiles[own], &seen[tracklet]);
+            let here = Self::links(&profiles[own], &seen[tracklet]);
             for other in (0..self.chains.len()).filter(|&c| c != own) {
-                let there = self.links(&profiles[other], &seen[tracklet]);
+                let there = Self::links(&profiles[other], &seen[tracklet]);
                 if there <= here {
                     continue;
                 }
@@ -392,7 +386,8 @@ impl Scene<'_> {
                 if back.iter().any(|&u| self.overlapping(own, u).iter().any(|&v| v != tracklet)) {
                     continue;
                 }
-                let returned = |u: &usize| self.links(&profiles[own], &seen[*u]) - self.links(&profiles[other], &seen[*u]);
+                let returned =
+                    |u: &usize| Self::links(&profiles[own], &seen[*u]) - Self::links(&profiles[other], &seen[*u]);
                 let links = there - here + back.iter().map(returned).sum::<f64>();
                 let Some(motion) = self.motion_gain(own, other, tracklet, &back) else { continue };
                 if links + motion > WORTH_EXCHANGING {
@@ -426,12 +421,18 @@ impl Scene<'_> {
     /// What the evidence of motion gains when a tracklet changes chains and others come back for it.
     fn motion_gain(&self, own: usize, other: usize, tracklet: usize, back: &[usize]) -> Option<f64> {
         let without = |chain: usize, out: &[usize], add: &[usize]| {
-            let mut sequence: Vec<usize> =
-                self.chains[chain].tracklets.iter().copied().filter(|t| !out.contains(t)).chain(add.iter().copied()).collect();
+            let mut sequence: Vec<usize> = self.chains[chain]
+                .tracklets
+                .iter()
+                .copied()
+                .filter(|t| !out.contains(t))
+                .chain(add.iter().copied())
+                .collect();
             sequence.sort_unstable_by_key(|&t| self.tracklets[t].first);
             sequence
         };
-        let before = self.path_evidence(&self.chains[own].tracklets)? + self.path_evidence(&self.chains[other].tracklets)?;
+        let before =
+            self.path_evidence(&self.chains[own].tracklets)? + self.path_evidence(&self.chains[other].tracklets)?;
         let after = self.path_evidence(&without(own, &[tracklet], back))?
             + self.path_evidence(&without(other, back, &[tracklet]))?;
         Some(after - before)
@@ -451,7 +452,7 @@ impl Scene<'_> {
     }
 
     /// Evidence of the distances: those of one chain under the profile of another.
-    fn links(&self, profile: &[Link], samples: &[Distances]) -> f64 {
+    fn links(profile: &[Link], samples: &[Distances]) -> f64 {
         let (mut total, mut asked) = (0.0, 0);
         for link in profile {
             let (mut sum, mut n) = (0.0, 0.0);

@@ -198,9 +198,8 @@ fn centers_about(paths: &[Path], noise: &[f64], members: &[usize], known: usize)
             arcs.push(arc);
         }
     }
-    let path = |center: Vector3<f64>| {
-        poses.iter().map(|p| p.map(|(turn, origin)| origin + turn.inverse() * center)).collect()
-    };
+    let path =
+        |center: Vector3<f64>| poses.iter().map(|p| p.map(|(turn, origin)| origin + turn.inverse() * center)).collect();
     agreed(arcs).into_iter().map(path).collect()
 }
 

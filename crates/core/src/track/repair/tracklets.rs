@@ -105,8 +105,7 @@ pub fn cut(frames: &[Tracked], times_s: &[f64]) -> (Vec<Tracklet>, Vec<Vec<Optio
 
 /// Identities of trajectories that were believed at some time, ascending.
 fn believed(frames: &[Tracked]) -> Vec<u32> {
-    let mut found: Vec<u32> =
-        frames.iter().flat_map(|f| &f.samples).filter(|s| s.confirmed).map(|s| s.track).collect();
+    let mut found: Vec<u32> = frames.iter().flat_map(|f| &f.samples).filter(|s| s.confirmed).map(|s| s.track).collect();
     found.sort_unstable();
     found.dedup();
     found
@@ -126,10 +125,8 @@ fn changes_of_contact(frame: &Tracked, touching: &mut BTreeMap<(u32, u32), bool>
             }
             let pair = (one.track.min(other.track), one.track.max(other.track));
             let reach = if touching.contains_key(&pair) { PARTED } else { CONTACT };
-            if (one.point - other.point).norm() < reach {
-                if touching.insert(pair, true).is_none() {
-                    changed.push(pair);
-                }
+            if (one.point - other.point).norm() < reach && touching.insert(pair, true).is_none() {
+                changed.push(pair);
             }
         }
     }
