@@ -278,7 +278,7 @@ fn fitted(arcs: &[&Arc]) -> Option<Center> {
             right += off * (d.norm_squared() - mean_square);
         }
     }
-    matrix += Matrix3::identity() * (1e-6 * count);
+    matrix += Matrix3::identity() * (1e-8 * count);
     let inverse = (count > 0.0).then(|| matrix.try_inverse()).flatten()?;
     let center = origin + inverse * right;
     // d |p|² = 2 r dr: the residuals of the linear equations are 2 r times those of the radius.
@@ -317,14 +317,16 @@ mod tests {
 
     #[test]
     fn a_shoulder_is_found_exactly_without_noise_and_well_with_it() {
-        for (noise_m, tolerance) in [(0.0, 1e-4), (0.0005, 0.005)] {
+        // With noise, the frame's turn alone moves a centre 0.35 m away by about 1.5 mm.
+        for (noise_m, tolerance_m) in [(0.0, 1e-4), (0.0005, 0.003)] {
             let (paths, truth) = ball_joint(noise_m);
             let found = joint_centers(&paths, &[noise_m; 5]);
-            let off = |path: &Path| {
-                path.iter().zip(&truth).map(|(p, t)| p.map_or(1.0, |p| (p - t).norm())).fold(0.0, f64::max)
+            let rms = |path: &Path| {
+                let squares = path.iter().zip(&truth).map(|(p, t)| p.map_or(1.0, |p| (p - t).norm_squared()));
+                (squares.sum::<f64>() / truth.len() as f64).sqrt()
             };
-            let best = found.iter().map(off).fold(f64::INFINITY, f64::min);
-            assert!(best < tolerance, "{best} m off with noise {noise_m}");
+            let best = found.iter().map(rms).fold(f64::INFINITY, f64::min);
+            assert!(best < tolerance_m, "{best} m off with noise {noise_m}");
         }
     }
 
