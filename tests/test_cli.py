@@ -9,7 +9,7 @@ import pytest
 
 import markerloom as ml
 
-VERBS = ["demo", "simulate", "reconstruct", "evaluate", "inspect", "convert", "bench"]
+VERBS = ["demo", "simulate", "reconstruct", "track", "evaluate", "inspect", "convert", "bench"]
 
 
 def run(*arguments: object, code: int = 0) -> str:

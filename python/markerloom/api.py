@@ -23,6 +23,7 @@ from markerloom.points import Points
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Lens, Mask, Rig
 from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
+from markerloom.track import TrackedFrame, Tracker, track
 from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
@@ -36,6 +37,8 @@ __all__ = [
     "Rig",
     "Scene",
     "SimulatedTake",
+    "TrackedFrame",
+    "Tracker",
     "Triangulated",
     "Truth",
     "bench",
@@ -50,6 +53,7 @@ __all__ = [
     "reconstruct",
     "save",
     "simulate",
+    "track",
     "triangulate",
     "truth_from_assignments",
     "truth_from_observations",

@@ -28,10 +28,13 @@ from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observ
 from markerloom.evaluate import evaluate as run_evaluate
 from markerloom.formats import table_file
 from markerloom.inspect import inspect as run_inspect
+from markerloom.observations import Observations
 from markerloom.reconstruct import Progress
 from markerloom.reconstruct import reconstruct as run_reconstruct
+from markerloom.rig import Rig
 from markerloom.simulate import PRESETS, make_scene, save
 from markerloom.simulate import simulate as run_simulate
+from markerloom.track import track as run_track
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 out = Console(highlight=False)
@@ -184,16 +187,7 @@ def reconstruct(
     """
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     wanted = frame_range(frames)
-    if formats.ending(output) not in formats.POINTS_WRITTEN:
-        raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
-    take = formats.read_observations(observations)
-    rig = formats.read_calibration(calibration, units=calibration_units)
-    if rate_hz is not None:
-        take = _with_rate(take, rate_hz)
-    if formats.ending(output) in (".c3d", ".trc") and take.rate_hz is None:
-        raise InputError(
-            f"a {formats.ending(output)} file needs the frame rate: state it with --rate-hz ({observations})"
-        )
+    take, rig = _take_and_rig(observations, calibration, calibration_units, rate_hz, output)
     with progress_bar("reconstruct", quiet) as progress:
         points = run_reconstruct(
             take, rig, method=method, frames=wanted, threads=threads, noise_px=noise_px, progress=progress
@@ -210,6 +204,59 @@ def reconstruct(
         f"{100 * result['certified_frames']:.1f} % of frames certified → {output}",
     )
     finish(report, [observations, calibration], options, result)
+
+
+@app.command()
+def track(
+    observations: Annotated[Path, typer.Argument(help=".x2d, .parquet, .csv, .csv.gz or a Tracker dump")],
+    calibration: Calibration,
+    output: Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")],
+    causal: Annotated[bool, typer.Option("--causal", help="Only what a live user would have seen.")] = False,
+    frames: Frames = None,
+    assignments: Annotated[Path | None, typer.Option(help="Write which dots made which point.")] = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the input has none.")] = None,
+    noise_px: Annotated[float | None, typer.Option(help="Noise of the dots, where it is known.")] = None,
+    calibration_units: Units = "m",
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Follow every marker through time: one trajectory per marker, through occlusions and sharp turns.
+
+    Example: markerloom track take.x2d --calibration take.xcp -o trajectories.c3d --rate-hz 100
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    wanted = frame_range(frames)
+    take, rig = _take_and_rig(observations, calibration, calibration_units, rate_hz, output)
+    with progress_bar("track", quiet) as progress:
+        points = run_track(take, rig, causal=causal, frames=wanted, noise_px=noise_px, progress=progress)
+    formats.write_points(points, output)
+    if assignments is not None:
+        table_file.write(points.assignments, assignments)
+    result = points.report
+    warn(quiet, result["warnings"])
+    say(
+        quiet,
+        f"{result['frames']} frames, {result['trajectories']} trajectories, {result['points_per_frame']:.2f} measured "
+        f"and {result['predicted_per_frame']:.2f} predicted points per frame, residual "
+        f"{result['residual_px']['median']:.3f} px → {output}",
+    )
+    finish(report, [observations, calibration], options, result)
+
+
+def _take_and_rig(
+    observations: Path, calibration: Path, units: str, rate_hz: float | None, output: Path
+) -> tuple[Observations, Rig]:
+    """Read the inputs of a verb that writes points; refuses at once what could not be written."""
+    ending = formats.ending(output)
+    if ending not in formats.POINTS_WRITTEN:
+        raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
+    take = formats.read_observations(observations)
+    rig = formats.read_calibration(calibration, units=units)
+    if rate_hz is not None:
+        take = _with_rate(take, rate_hz)
+    if ending in (".c3d", ".trc") and take.rate_hz is None:
+        raise InputError(f"a {ending} file needs the frame rate: state it with --rate-hz ({observations})")
+    return take, rig
 
 
 def _with_rate(take: Any, rate_hz: float) -> Any:

@@ -60,6 +60,12 @@ class Observations:
         wanted = np.array([i in set(ids) for i in self.camera_ids], bool)
         return self._keep(wanted[self.camera]) if len(self) else self
 
+    def every(self, step: int) -> Observations:
+        """Every ``step``-th frame, with its number."""
+        if step < 1:
+            raise InputError(f"every {step}th frame: the step must be 1 or more")
+        return replace(self._keep(self.frame % step == 0), frames=self.frames[self.frames % step == 0])
+
     def _keep(self, keep: NDArray[np.bool_]) -> Observations:
         optional = {name: column[keep] for name, column in self.optional.items()}
         kept = replace(

@@ -55,15 +55,15 @@ def reconstruct(
         observations = observations.select(*frames)
     clock = time.perf_counter()
     stages = {}
-    rig, dots, notes = _usable(observations, rig)
+    rig, dots, notes = usable_dots(observations, rig)
     stages["match"] = time.perf_counter() - clock
-    model = _core.estimate_model(rig.core, _arrays(dots, 0, len(dots.frames)), noise_px)
+    model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
     stages["estimate"] = time.perf_counter() - clock - stages["match"]
     parts, ms_per_frame = [], []
     for first in range(0, len(dots.frames), CHUNK_FRAMES):
         last = min(first + CHUNK_FRAMES, len(dots.frames))
         start = time.perf_counter()
-        part = _core.reconstruct(rig.core, _arrays(dots, first, last), model, method, threads)
+        part = _core.reconstruct(rig.core, dot_arrays(dots, first, last), model, method, threads)
         ms_per_frame += [1000 * (time.perf_counter() - start) / (last - first)] * (last - first)
         parts.append(_offset(part, first, int(dots.starts[first])))
         if progress:
@@ -71,12 +71,12 @@ def reconstruct(
     stages["correspond"] = sum(ms_per_frame) / 1000
     solved = _joined(parts)
     report = _report(solved, dots, rig, model.describe(), method, notes)
-    report["residual_px_by_camera"] = _residual_by_camera(solved, dots, rig)
-    report["timing"] = _timing(time.perf_counter() - clock, ms_per_frame, stages)
-    return _as_points(solved, dots, rig, observations, report)
+    report["residual_px_by_camera"] = residual_by_camera(solved, dots, rig)
+    report["timing"] = timing(time.perf_counter() - clock, ms_per_frame, stages)
+    return as_points(solved, dots, rig, observations, report)
 
 
-def _usable(observations: Observations, rig: Rig) -> tuple[Rig, MatchedDots, list[str]]:
+def usable_dots(observations: Observations, rig: Rig) -> tuple[Rig, MatchedDots, list[str]]:
     """The cameras that take part, and their dots."""
     dots = match(observations, rig)
     notes = list(dots.warnings)
@@ -96,7 +96,8 @@ def _usable(observations: Observations, rig: Rig) -> tuple[Rig, MatchedDots, lis
     return rig, dots, notes
 
 
-def _arrays(dots: MatchedDots, first: int, last: int) -> DotArrays:
+def dot_arrays(dots: MatchedDots, first: int, last: int) -> DotArrays:
+    """The dots of some frames, as the engine takes them."""
     return DotArrays(*dots.of_frames(first, last))
 
 
@@ -111,14 +112,13 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
 
 
-def _as_points(
+def as_points(
     solved: dict[str, Any], dots: MatchedDots, rig: Rig, observations: Observations, report: dict[str, Any]
 ) -> Reconstruction:
+    """The engine's arrays as points with their assignments; ``track`` and ``kind`` where there are trajectories."""
     n = len(solved["frame"])
     frame_index = solved["frame"]
-    new_frame = np.ones(n, bool)
-    new_frame[1:] = np.diff(frame_index) != 0
-    track = np.arange(n) - np.maximum.accumulate(np.where(new_frame, np.arange(n), 0)) if n else np.zeros(0, np.int64)
+    track = solved.get("track", _number_within_frame(frame_index))
     owner = np.repeat(np.arange(n), solved["sizes"])
     camera = dots.camera[solved["dots"]]
     mask = np.zeros(n, np.int64)
@@ -141,16 +141,23 @@ def _as_points(
         rays=solved["sizes"].astype(np.int64),
         residual_px=solved["residual_px"],
         confidence=solved["confidence"],
-        kind=np.zeros(n, np.int64),
+        kind=solved.get("kind", np.zeros(n, np.int64)),
         residual_mm=1000.0 * solved["ray_distance_m"],
         camera_mask=mask,
         rate_hz=observations.rate_hz,
         frames=dots.frames,
-        tracked=False,
+        tracked="track" in solved,
         source=observations.source,
         assignments=assignments,
         report=report,
     )
+
+
+def _number_within_frame(frame_index: np.ndarray) -> np.ndarray:
+    n = len(frame_index)
+    new_frame = np.ones(n, bool)
+    new_frame[1:] = np.diff(frame_index) != 0
+    return np.arange(n) - np.maximum.accumulate(np.where(new_frame, np.arange(n), 0)) if n else np.zeros(0, np.int64)
 
 
 def _report(
@@ -174,7 +181,7 @@ def _report(
     }
 
 
-def _residual_by_camera(solved: dict[str, Any], dots: MatchedDots, rig: Rig) -> dict[str, float]:
+def residual_by_camera(solved: dict[str, Any], dots: MatchedDots, rig: Rig) -> dict[str, float]:
     """Root mean square distance of dots and reprojections by camera (px)."""
     owner = np.repeat(np.arange(len(solved["frame"])), solved["sizes"])
     camera, pixel = dots.camera[solved["dots"]], dots.pixel[solved["dots"]]
@@ -197,7 +204,8 @@ def statistics(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def _timing(seconds: float, ms_per_frame: list[float], stages: dict[str, float]) -> dict[str, Any]:
+def timing(seconds: float, ms_per_frame: list[float], stages: dict[str, float]) -> dict[str, Any]:
+    """The part of a report that differs from run to run."""
     values = np.array(ms_per_frame) if ms_per_frame else np.zeros(1)
     spread = {"mean": float(values.mean()), "p50": float(np.median(values))}
     spread |= {"p99": float(np.percentile(values, 99)), "p999": float(np.percentile(values, 99.9))}

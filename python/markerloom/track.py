@@ -1,25 +1,117 @@
-"""Observations and a rig, or points of any system, to trajectories."""
+"""Observations and a rig to trajectories: a whole take at once, or one frame at a time."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
 
 from markerloom import _core
 from markerloom.errors import InputError
-from markerloom.observations import MatchedDots, Observations
+from markerloom.observations import DotArrays, MatchedDots, Observations, match
+from markerloom.points import KINDS
 from markerloom.reconstruct import (
     CHUNK_FRAMES,
     Progress,
     Reconstruction,
-    _arrays,
-    _timing,
-    _usable,
+    as_points,
+    dot_arrays,
+    residual_by_camera,
+    statistics,
+    timing,
+    usable_dots,
 )
 from markerloom.rig import Rig
+
+Array = NDArray[np.floating[Any]]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """What one frame gave: one row per marker, in ascending order of ``tracks``.
+
+    ``points_mm`` (n, 3); ``sigmas_mm`` (n,) = √trace of the position's covariance; ``kinds``: ``measured`` or
+    ``predicted``; ``rays``, ``residuals_px``, ``confidences`` (n,).
+    """
+
+    points_mm: Array
+    tracks: Ints
+    kinds: NDArray[np.str_]
+    sigmas_mm: Array
+    rays: Ints
+    residuals_px: Array
+    confidences: Array
+
+
+class Tracker:
+    """Follows markers live, one frame after the other; memory does not grow.
+
+    What ``push`` returns depends on the frames so far and on nothing else: ``track(..., causal=True)`` gives the same
+    to the bit. Noise and volume are learned from the frames as they come; ``noise_px`` states the noise where it is
+    known. Raises ``InputError`` for a rate that is none and for a rig that cannot give a depth.
+    """
+
+    def __init__(self, rig: Rig, *, rate_hz: float, noise_px: float | None = None) -> None:
+        """Prepare for the cameras of ``rig``."""
+        self._rig = rig
+        self._index = {camera.id: i for i, camera in enumerate(rig.cameras)}
+        self._core = _core.Tracker(rig.core, None, rate_hz, noise_px)
+
+    def push(
+        self, dots: Mapping[str, ArrayLike], frame: int | None = None, time_s: float | None = None
+    ) -> TrackedFrame:
+        """Take in the dots of one frame: for each camera that has any, (n, 2) pixels or (n, 3) pixels and sigma (px).
+
+        ``frame``: its number, one more than the last if missing; a jump is frames that were lost. ``time_s``: its time,
+        by number and rate if missing. Raises ``InputError`` for a camera that the rig lacks and for time that does not
+        move forwards.
+        """
+        solved = self._core.push(self._arrays(dots), frame, time_s)
+        variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
+        return TrackedFrame(
+            points_mm=1000.0 * solved["point_m"],
+            tracks=solved["track"],
+            kinds=np.array(KINDS)[solved["kind"]],
+            sigmas_mm=1000.0 * np.sqrt(variance),
+            rays=np.diff(solved["dot_starts"]),
+            residuals_px=solved["residual_px"],
+            confidences=solved["confidence"],
+        )
+
+    def _arrays(self, dots: Mapping[str, ArrayLike]) -> DotArrays:
+        camera: list[NDArray[np.int64]] = []
+        rows: list[Array] = []
+        for name, values in dots.items():
+            if name not in self._index:
+                raise InputError(f"camera '{name}' is not in the calibration ({', '.join(self._rig.ids)})")
+            table = np.asarray(values, float)
+            if table.size == 0:
+                continue
+            if table.ndim != 2 or table.shape[1] not in (2, 3):
+                raise InputError(f"dots of camera '{name}' have the shape {table.shape}: (n, 2) or (n, 3) is needed")
+            rows.append(table if table.shape[1] == 3 else np.column_stack([table, np.ones(len(table))]))
+            camera.append(np.full(len(table), self._index[name]))
+        table = np.concatenate(rows) if rows else np.zeros((0, 3))
+        index = np.concatenate(camera) if camera else np.zeros(0, np.int64)
+        keep = self._usable(table, index)
+        return DotArrays(np.array([0, keep.sum()]), index[keep], table[keep, :2], table[keep, 2])
+
+    def _usable(self, table: Array, camera: Ints) -> NDArray[np.bool_]:
+        """Rows that a take would use too: finite, in the image or hardly outside, with a sigma, not repeated."""
+        size = np.array([c.size_px for c in self._rig.cameras])[camera]
+        margin = 0.05 * size
+        keep = np.isfinite(table).all(axis=1) & (table[:, 2] > 0)
+        with np.errstate(invalid="ignore"):
+            keep &= np.all((table[:, :2] >= -0.5 - margin) & (table[:, :2] <= size - 0.5 + margin), axis=1)
+        _, first = np.unique(np.column_stack([camera, table[:, :2]]), axis=0, return_index=True)
+        once = np.zeros(len(table), bool)
+        once[first] = True
+        return keep & once
 
 
 def track(
@@ -34,71 +126,115 @@ def track(
 ) -> Reconstruction:
     """Follow every marker of a take through time.
 
-    ``causal``: exactly what a live user would have seen; otherwise the whole take decides about identities, and gaps
-    are carried from both ends. ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is
-    known. ``progress(done, total)`` is called now and then.
+    ``rate_hz``: frame rate where the observations do not state it. ``causal``: exactly what a live user would have
+    seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
+    ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
+    ``progress(done, total)`` is called now and then.
 
-    Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known.
+    Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
+    when the cameras cannot give a depth.
     """
     if frames is not None:
         observations = observations.select(*frames)
-    rate = rate_hz or observations.rate_hz
-    if rate is None:
-        raise InputError("tracking needs the frame rate")
+    observations = replace(observations, rate_hz=_rate(observations, rate_hz))
     clock = time.perf_counter()
-    rig, dots, notes = _usable(observations, rig)
-    model = _core.estimate_model(rig.core, _arrays(dots, 0, len(dots.frames)), noise_px)
-    tracker = _core.Tracker(rig.core, model, rate)
-    estimated = time.perf_counter()
-    ms = []
-    for first in range(0, len(dots.frames), CHUNK_FRAMES):
-        last = min(first + CHUNK_FRAMES, len(dots.frames))
-        start = time.perf_counter()
-        tracker.record(_arrays(dots, first, last), dots.frames[first:last].tolist(), [None] * (last - first))
-        if progress:
-            progress(last, len(dots.frames))
-        ms += [1000 * (time.perf_counter() - start) / (last - first)] * (last - first)
+    stages = {}
+    if causal:
+        dots = _as_pushed(observations, rig)
+        notes = list(dots.warnings)
+        tracker = _core.Tracker(rig.core, None, observations.rate_hz or 0.0, noise_px)
+    else:
+        rig, dots, notes = usable_dots(observations, rig)
+        model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
+        tracker = _core.Tracker(rig.core, model, observations.rate_hz or 0.0)
+    stages["estimate"] = time.perf_counter() - clock
+    _record(tracker, dots, _times_s(observations, dots), progress)
+    stages["track"] = time.perf_counter() - clock - stages["estimate"]
     solved = tracker.recorded(causal)
-    solved["sizes"] = np.diff(solved["dot_starts"])
-    report = {"warnings": notes, "timing": _timing(time.perf_counter() - clock, ms, {"estimate": estimated - clock})}
-    report["searched_dots"] = float(solved["searched_dots"].mean())
-    return _as_points(solved, dots, rig, observations, rate, report)
+    stages["repair"] = time.perf_counter() - clock - stages["estimate"] - stages["track"]
+    solved["sizes"] = np.diff(solved.pop("dot_starts"))
+    report = _report(solved, dots, rig, tracker, notes, causal)
+    report["timing"] = timing(time.perf_counter() - clock, tracker.frame_ms(), stages)
+    return as_points(solved, dots, rig, observations, report)
 
 
-def _as_points(
-    solved: dict[str, Any], dots: MatchedDots, rig: Rig, observations: Observations, rate: float, report: dict[str, Any]
-) -> Reconstruction:
-    n = len(solved["frame"])
-    owner = np.repeat(np.arange(n), solved["sizes"])
-    camera = dots.camera[solved["dots"]]
-    mask = np.zeros(n, np.int64)
-    np.bitwise_or.at(mask, owner, np.where(camera < 7, 1 << np.minimum(camera, 7), 0))
-    variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
-    frame = dots.frames[solved["frame"]].astype(np.int64)
-    assignments = pa.table(
-        {
-            "frame": frame[owner],
-            "camera": [rig.cameras[c].id for c in camera],
-            "observation": dots.observation[solved["dots"]],
-            "track": solved["track"][owner],
-        }
-    )
-    return Reconstruction(
-        frame=frame,
-        track=solved["track"],
-        label=np.full(n, "", dtype="<U1"),
-        xyz_mm=1000.0 * solved["point_m"],
-        sigma_mm=1000.0 * np.sqrt(variance),
-        rays=solved["sizes"].astype(np.int64),
-        residual_px=solved["residual_px"],
-        confidence=solved["confidence"],
-        kind=solved["kind"],
-        residual_mm=1000.0 * solved["ray_distance_m"],
-        camera_mask=mask,
-        rate_hz=rate,
-        frames=dots.frames,
-        tracked=True,
-        source=observations.source,
-        assignments=assignments,
-        report=report,
-    )
+def _rate(observations: Observations, rate_hz: float | None) -> float:
+    rate = observations.rate_hz if rate_hz is None else rate_hz
+    if rate is None:
+        raise InputError(f"tracking needs the frame rate: state it with --rate-hz ({observations.source})")
+    if not 0 < rate < 1e6:
+        raise InputError(f"{rate} Hz is no frame rate: state one above 0 with --rate-hz ({observations.source})")
+    return rate
+
+
+def _as_pushed(observations: Observations, rig: Rig) -> MatchedDots:
+    """The dots as a live user pushes them: every camera of the rig takes part, and nothing is known of later frames."""
+    if len(observations) == 0:
+        raise InputError(f"there are no observations to track ({observations.source})")
+    dots = match(observations, rig)
+    sigma = observations.optional.get("sigma")
+    if sigma is None:
+        return dots
+    own = np.where(np.isfinite(sigma) & (sigma > 0), sigma, 1.0)[dots.row]
+    return replace(dots, sigma=own)
+
+
+def _times_s(observations: Observations, dots: MatchedDots) -> list[float | None]:
+    """Time of each frame: the mean of its dots' times, or between the neighbours'; ``None`` = by number and rate."""
+    column = observations.optional.get("time_s")
+    if column is None or not np.isfinite(column[dots.row]).any():
+        return [None] * len(dots.frames)
+    own = column[dots.row]
+    owner = np.repeat(np.arange(len(dots.frames)), np.diff(dots.starts))
+    good = np.isfinite(own)
+    count = np.bincount(owner[good], minlength=len(dots.frames))
+    total = np.bincount(owner[good], weights=own[good], minlength=len(dots.frames))
+    known = count > 0
+    mean = total[known] / count[known]
+    rate = observations.rate_hz or 1.0
+    at = dots.frames.astype(float)
+    times = np.interp(at, at[known], mean)
+    first, last = np.flatnonzero(known)[[0, -1]]
+    times[:first] = times[first] - (at[first] - at[:first]) / rate
+    times[last + 1 :] = times[last] + (at[last + 1 :] - at[last]) / rate
+    return times.tolist()
+
+
+def _record(tracker: _core.Tracker, dots: MatchedDots, times_s: list[float | None], progress: Progress | None) -> None:
+    n = len(dots.frames)
+    for first in range(0, n, CHUNK_FRAMES):
+        last = min(first + CHUNK_FRAMES, n)
+        tracker.record(dot_arrays(dots, first, last), dots.frames[first:last].tolist(), times_s[first:last])
+        if progress:
+            progress(last, n)
+
+
+def _report(
+    solved: dict[str, Any], dots: MatchedDots, rig: Rig, tracker: _core.Tracker, notes: list[str], causal: bool
+) -> dict[str, Any]:
+    frames = max(len(dots.frames), 1)
+    measured = solved["kind"] == KINDS.index("measured")
+    overfull = dots.frames[solved["overfull"]]
+    if len(overfull):
+        notes.append(
+            f"{len(overfull)} frames, the first {overfull[0]}, hold so many unexplained dots that no new markers were "
+            "looked for: check thresholds and stray light"
+        )
+    model = tracker.model().describe()
+    return {
+        "frames": len(dots.frames),
+        "warnings": notes,
+        "method": "default",
+        "causal": causal,
+        "cameras": rig.ids,
+        "points_per_frame": float(measured.sum() / frames),
+        "predicted_per_frame": float((~measured).sum() / frames),
+        "rays_mean": float(solved["sizes"][measured].mean()) if measured.any() else 0.0,
+        "residual_px": statistics(solved["residual_px"][measured]),
+        "residual_px_by_camera": residual_by_camera(solved, dots, rig),
+        "certified_frames": float(solved["certified"].mean()) if len(solved["certified"]) else 0.0,
+        "searched_dots": float(solved["searched_dots"].sum() / max(len(dots.camera), 1)),
+        "noise_px": dict(zip(rig.ids, model["noise"], strict=True)),
+        "model": model,
+        "trajectories": len(np.unique(solved["track"][measured])),
+    }

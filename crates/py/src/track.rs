@@ -20,14 +20,20 @@ pub struct PyTracker {
     starts: Vec<usize>,
     times_s: Vec<f64>,
     dots: Vec<Vec<Dot>>,
+    frame_ms: Vec<f64>,
 }
 
 #[pymethods]
 impl PyTracker {
     #[new]
-    fn new(rig: &PyRig, model: &PyModel, rate_hz: f64) -> PyResult<Self> {
-        let tracker = Tracker::new(&rig.inner, &model.inner, rate_hz, TrackOptions::default())
-            .map_err(|e| InputError::new_err(e.to_string()))?;
+    #[pyo3(signature = (rig, model, rate_hz, noise_px=None))]
+    fn new(rig: &PyRig, model: Option<&PyModel>, rate_hz: f64, noise_px: Option<f64>) -> PyResult<Self> {
+        let options = TrackOptions::default();
+        let tracker = match model {
+            Some(model) => Tracker::new(&rig.inner, &model.inner, rate_hz, options),
+            None => Tracker::learning(&rig.inner, noise_px, rate_hz, options),
+        };
+        let tracker = tracker.map_err(|e| InputError::new_err(e.to_string()))?;
         Ok(Self {
             tracker,
             cameras: rig.inner.cameras.len(),
@@ -35,6 +41,7 @@ impl PyTracker {
             starts: vec![0],
             times_s: Vec::new(),
             dots: Vec::new(),
+            frame_ms: Vec::new(),
         })
     }
 
@@ -64,18 +71,30 @@ impl PyTracker {
     ) -> PyResult<()> {
         let (all, ranges) = dots.frames(self.cameras)?;
         let (tracker, recorded, starts) = (&mut self.tracker, &mut self.recorded, &mut self.starts);
-        let (times, kept) = (&mut self.times_s, &mut self.dots);
+        let (times, kept, frame_ms) = (&mut self.times_s, &mut self.dots, &mut self.frame_ms);
         py.detach(|| {
             for ((range, frame), time_s) in ranges.into_iter().zip(frames).zip(times_s) {
                 let own: &[Dot] = &all[range];
+                let clock = std::time::Instant::now();
                 recorded.push(tracker.push(own, Moment { frame: Some(frame), time_s })?);
+                frame_ms.push(1000.0 * clock.elapsed().as_secs_f64());
                 times.push(tracker.time_s());
                 kept.push(own.to_vec());
                 starts.push(starts[starts.len() - 1] + own.len());
             }
             Ok(())
         })
-        .map_err(|e: markerloom_core::track::TimeError| InputError::new_err(e.to_string()))
+        .map_err(|e: markerloom_core::track::TrackError| InputError::new_err(e.to_string()))
+    }
+
+    /// How long each recorded frame took (ms).
+    fn frame_ms(&self) -> Vec<f64> {
+        self.frame_ms.clone()
+    }
+
+    /// What the tracker believes about the take.
+    fn model(&self) -> PyModel {
+        PyModel { inner: self.tracker.scene().model.clone() }
     }
 
     /// What was recorded. `confirmed_only`: just what a live user saw.
@@ -127,6 +146,7 @@ fn arrays<'py>(
     out.set_item("dots", dots.into_pyarray(py))?;
     let searched: Vec<i64> = frames.iter().map(|f| f.searched_dots as i64).collect();
     out.set_item("searched_dots", searched.into_pyarray(py))?;
+    out.set_item("certified", frames.iter().map(|f| f.certified).collect::<Vec<_>>().into_pyarray(py))?;
     out.set_item("overfull", frames.iter().map(|f| f.overfull).collect::<Vec<_>>().into_pyarray(py))?;
     Ok(out)
 }

@@ -12,6 +12,7 @@
 //! The tracker is causal and deterministic: what [`Tracker::push`] returns depends on the frames so far and on nothing
 //! else. What later frames reveal is worked in by `repair/`, over a whole take.
 
+mod adapt;
 pub mod body;
 mod clock;
 pub mod filter;
@@ -24,11 +25,14 @@ mod view;
 
 pub use clock::{Moment, TimeError};
 
+use adapt::Adaptation;
+
 use crate::camera::Rig;
 use crate::correspond::Group;
 use crate::correspond::frame::{Dot, PreparedFrame};
 use crate::correspond::optimal::{OptimalOptions, optimal};
 use crate::correspond::scene::{Scene, SceneModel};
+use crate::reconstruct::{ReconstructError, ReconstructOptions, estimate_model};
 use body::{Body, Seen};
 use clock::Clock;
 use filter::Step;
@@ -36,6 +40,7 @@ use frame::Frame;
 use locate::{LocateGates, locate};
 use marker::Marker;
 use nalgebra::{Matrix3, Vector3};
+use thiserror::Error;
 use view::{Prior, match_camera};
 
 /// How a position came about.
@@ -101,6 +106,17 @@ impl Sample {
     }
 }
 
+/// Why a take or a frame cannot be tracked.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum TrackError {
+    /// A frame has no place in time.
+    #[error(transparent)]
+    Time(#[from] TimeError),
+    /// The rig cannot give a depth.
+    #[error(transparent)]
+    Rig(#[from] ReconstructError),
+}
+
 /// What one frame gave.
 #[derive(Clone, Debug, Default)]
 pub struct Tracked {
@@ -110,6 +126,16 @@ pub struct Tracked {
     pub searched_dots: usize,
     /// Whether the frame had more dots than the tracker looks at.
     pub overfull: bool,
+    /// Whether the correspondence of the dots that were searched is proven optimal.
+    pub certified: bool,
+}
+
+/// What the full correspondence of the left-over dots gave.
+struct Searched {
+    groups: Vec<Group>,
+    dots: usize,
+    overfull: bool,
+    certified: bool,
 }
 
 /// Options of a tracker. None of them needs to be set.
@@ -132,8 +158,12 @@ impl Default for TrackOptions {
     }
 }
 
-/// Left-over dots beyond which the full correspondence is not tried, per dot that was ever explained: bounded time.
+/// Left-over dots beyond which the full correspondence is not tried, so that time stays bounded: this many, or so many
+/// times the dots of a usual frame.
 const MOST_LEFT_OVER: usize = 600;
+const MOST_TIMES_USUAL: f64 = 3.0;
+/// Weight of one frame in what is usual.
+const USUAL: f64 = 0.05;
 /// A marker is not born nearer than this to a known one (m).
 const SMALLEST_DISTANCE: f64 = 0.012;
 /// Left-over dots nearer to an owned one are its halves (px).
@@ -151,11 +181,15 @@ pub struct Tracker {
     body: Body,
     slots: Vec<bool>,
     next_track: u32,
+    /// `None` where the prior was given.
+    adaptation: Option<Adaptation>,
+    /// Dots of a usual frame.
+    usual_dots: Option<f64>,
 }
 
 impl Tracker {
     /// A tracker with a known prior.
-    pub fn new(rig: &Rig, model: &SceneModel, rate_hz: f64, options: TrackOptions) -> Result<Self, TimeError> {
+    pub fn new(rig: &Rig, model: &SceneModel, rate_hz: f64, options: TrackOptions) -> Result<Self, TrackError> {
         let scene = Scene::new(rig, model);
         Ok(Self {
             gates: LocateGates::new(&scene),
@@ -166,26 +200,70 @@ impl Tracker {
             body: Body::default(),
             slots: Vec::new(),
             next_track: 0,
+            adaptation: None,
+            usual_dots: None,
         })
     }
 
-    /// Follows the markers into the next frame.
-    pub fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TimeError> {
+    /// A tracker that learns its prior from the frames as they come. `noise_px`: noise of the dots, where it is known.
+    pub fn learning(
+        rig: &Rig,
+        noise_px: Option<f64>,
+        rate_hz: f64,
+        options: TrackOptions,
+    ) -> Result<Self, TrackError> {
+        let mut reconstruct = ReconstructOptions::default();
+        reconstruct.estimate.noise = noise_px;
+        let model = estimate_model(rig, &[], &reconstruct)?;
+        let tracker = Self::new(rig, &model, rate_hz, options)?;
+        Ok(Self { adaptation: Some(Adaptation::new(noise_px)), ..tracker })
+    }
+
+    /// Follows the markers into the next frame. The order of the dots does not matter.
+    pub fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+        let order = place_order(dots);
+        let sorted: Vec<Dot> = order.iter().map(|&i| dots[i as usize]).collect();
+        let mut tracked = self.push_sorted(&sorted, moment)?;
+        for sample in &mut tracked.samples {
+            sample.dots.iter_mut().for_each(|d| *d = order[*d as usize]);
+            sample.dots.sort_unstable();
+        }
+        Ok(tracked)
+    }
+
+    fn push_sorted(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
         let step = self.clock.advance(moment)?;
+        self.adapt(dots);
         let mut frame = Frame::new(&self.scene, dots);
         self.predict(&step);
         self.confirm(&mut frame);
         self.search(&mut frame);
         self.confirm_tentative(&mut frame);
         self.regate(&mut frame);
-        let (groups, searched_dots, overfull) = self.fall_back(&frame);
-        let groups = self.rematch(&mut frame, groups);
+        let searched = self.fall_back(&frame);
+        let groups = self.rematch(&mut frame, searched.groups);
+        if !searched.overfull {
+            let usual = self.usual_dots.unwrap_or(dots.len() as f64);
+            self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
+        }
         self.settle(&step);
         self.give_birth(&frame, groups);
         let samples = self.samples(&frame);
         self.learn();
         self.forget();
-        Ok(Tracked { samples, searched_dots, overfull })
+        Ok(Tracked {
+            samples,
+            searched_dots: searched.dots,
+            overfull: searched.overfull,
+            certified: searched.certified,
+        })
+    }
+
+    fn adapt(&mut self, dots: &[Dot]) {
+        if let Some(model) = self.adaptation.as_mut().and_then(|a| a.take_in(&self.scene.rig, dots)) {
+            self.scene = Scene::new(&self.scene.rig, &model);
+            self.gates = LocateGates::new(&self.scene);
+        }
     }
 
     /// What the tracker believes about the take.
@@ -291,7 +369,7 @@ impl Tracker {
     }
 
     /// The full correspondence of what nobody owns.
-    fn fall_back(&mut self, frame: &Frame) -> (Vec<Group>, usize, bool) {
+    fn fall_back(&mut self, frame: &Frame) -> Searched {
         let left: Vec<usize> = frame.left_over().into_iter().filter(|&d| !is_half(frame, d)).collect();
         let live = self.markers.iter().filter(|m| m.is_found()).count() as f64;
         let lost = self.markers.iter().filter(|m| !m.is_found()).count() as f64;
@@ -299,19 +377,19 @@ impl Tracker {
             (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
         self.scene.ln_expected = (missing + BIRTHS_PER_FRAME).ln();
         if left.len() < 2 {
-            return (Vec::new(), left.len(), false);
+            return Searched { groups: Vec::new(), dots: left.len(), overfull: false, certified: true };
         }
-        let most = MOST_LEFT_OVER.max(4 * self.scene.model.expected_markers as usize * self.scene.rig.cameras.len());
+        let most = MOST_LEFT_OVER.max((MOST_TIMES_USUAL * self.usual_dots.unwrap_or(f64::MAX)) as usize);
         if left.len() > most {
-            return (Vec::new(), left.len(), true);
+            return Searched { groups: Vec::new(), dots: left.len(), overfull: true, certified: false };
         }
         let dots: Vec<Dot> = left.iter().map(|&d| frame.dots[d]).collect();
         let prepared = PreparedFrame::new(&self.scene, &dots);
-        let mut groups = optimal(&self.scene, &prepared, &self.options.fall_back).groups;
-        for group in &mut groups {
+        let mut solved = optimal(&self.scene, &prepared, &self.options.fall_back);
+        for group in &mut solved.groups {
             group.dots.iter_mut().for_each(|d| *d = left[*d]);
         }
-        (groups, left.len(), false)
+        Searched { groups: solved.groups, dots: left.len(), overfull: false, certified: solved.certified }
     }
 
     /// Gives new points to lost markers; returns those that are nobody's.
@@ -396,6 +474,20 @@ impl Tracker {
         let slots = &self.slots;
         self.markers.retain(|m| slots[m.slot]);
     }
+}
+
+/// Indices of the dots by camera and place.
+fn place_order(dots: &[Dot]) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..dots.len() as u32).collect();
+    order.sort_by(|&a, &b| {
+        let (a, b) = (&dots[a as usize], &dots[b as usize]);
+        a.camera
+            .cmp(&b.camera)
+            .then(a.pixel[0].total_cmp(&b.pixel[0]))
+            .then(a.pixel[1].total_cmp(&b.pixel[1]))
+            .then(a.sigma.total_cmp(&b.sigma))
+    });
+    order
 }
 
 /// Whether a dot lies so near to an owned one that it is a half of the same blob.

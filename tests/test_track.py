@@ -1,0 +1,146 @@
+"""Tracking: identities that hold, live equal to offline, and input that is not a take."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import markerloom as ml
+from markerloom.errors import InputError
+from markerloom.observations import Observations
+
+
+@pytest.fixture(scope="module")
+def walk() -> ml.SimulatedTake:
+    """A walking figure, 8 cameras."""
+    return ml.simulate(ml.make_scene("walk", frames=160, markers=33, sigma_px=0.3, seed=0))
+
+
+@pytest.fixture(scope="module")
+def truth(walk: ml.SimulatedTake) -> ml.Truth:
+    return ml.truth_from_assignments(walk.truth, walk.truth_assignments, walk.rig)
+
+
+def pushed(take: Observations, rig: ml.Rig, shuffle: bool = False) -> list[ml.TrackedFrame]:
+    """A take, one frame at a time."""
+    tracker = ml.Tracker(rig, rate_hz=take.rate_hz or 0.0)
+    random = np.random.default_rng(0)
+    found = []
+    for frame in take.frames:
+        dots = {}
+        for index, name in enumerate(take.camera_ids):
+            own = take.pixel[(take.frame == frame) & (take.camera == index)]
+            dots[name] = random.permutation(own) if shuffle else own
+        found.append(tracker.push(dots, frame=int(frame)))
+    return found
+
+
+def test_a_walk_is_one_trajectory_per_marker(walk: ml.SimulatedTake, truth: ml.Truth) -> None:
+    points = ml.track(walk.observations, walk.rig)
+    result = ml.evaluate(points, truth, tolerance_mm=25)
+    assert result["ghosts_per_frame"] == 0
+    assert result["missing_per_frame"] <= 0.01
+    assert result["id_switches"] == 0
+    assert result["trajectories"] <= 33
+    assert 0.8 < result["sigma_ratio"] < 1.25
+    assert points.report["searched_dots"] < 0.15  # what time already explains is not searched for again
+
+
+@pytest.mark.parametrize("shuffle", [False, True])
+def test_causal_tracking_equals_push_to_the_bit(walk: ml.SimulatedTake, shuffle: bool) -> None:
+    take = walk.observations.select(0, 60)
+    offline = ml.track(take, walk.rig, causal=True)
+    for number, frame in enumerate(pushed(take, walk.rig, shuffle)):
+        rows = offline.frame == number
+        assert np.array_equal(offline.xyz_mm[rows], frame.points_mm)
+        assert np.array_equal(offline.track[rows], frame.tracks)
+        assert np.array_equal(offline.sigma_mm[rows], frame.sigmas_mm)
+        assert np.array_equal(offline.kind[rows] == 0, frame.kinds == "measured")
+
+
+def test_the_same_take_gives_the_same_trajectories(walk: ml.SimulatedTake) -> None:
+    a, b = (ml.track(walk.observations, walk.rig) for _ in range(2))
+    assert np.array_equal(a.xyz_mm, b.xyz_mm)
+    assert np.array_equal(a.track, b.track)
+
+
+def test_predicted_samples_have_an_honest_sigma() -> None:
+    take = ml.simulate(ml.make_scene("dance", frames=200, markers=33, sigma_px=0.3, seed=0))
+    points = ml.track(take.observations, take.rig)
+    predicted = points.kind == 1
+    assert predicted.sum() > 50
+    assert np.all(points.rays[predicted] < 2)
+    truth = take.truth.xyz_mm.reshape(200, 33, 3)
+    ratios = []
+    for track in np.unique(points.track):
+        own = np.flatnonzero((points.track == track) & (points.kind == 0))
+        nearest = [np.argmin(np.linalg.norm(truth[points.frame[r]] - points.xyz_mm[r], axis=1)) for r in own]
+        marker = int(np.bincount(nearest).argmax())
+        for row in np.flatnonzero((points.track == track) & predicted):
+            off = np.linalg.norm(points.xyz_mm[row] - truth[points.frame[row], marker])
+            ratios.append((off / points.sigma_mm[row]) ** 2)
+    # The median of χ² with 3 degrees of freedom is 0.79 of its mean.
+    assert 0.2 < np.median(ratios) < 1.5
+
+
+def test_cameras_that_drop_out_do_not_break_trajectories(walk: ml.SimulatedTake, truth: ml.Truth) -> None:
+    take = walk.observations
+    out = (take.frame >= 60) & (take.frame < 80) & (take.camera < 2)
+    points = ml.track(take._keep(~out), walk.rig)
+    result = ml.evaluate(points, replace(truth, required=truth.required & False), tolerance_mm=25)
+    assert result["id_switches"] == 0
+    assert len(np.unique(points.track)) <= 33
+
+
+def test_missing_frames_are_time_that_passed(walk: ml.SimulatedTake, truth: ml.Truth) -> None:
+    take = walk.observations
+    gone = (take.frame >= 70) & (take.frame < 74)
+    points = ml.track(take._keep(~gone), walk.rig)
+    assert ml.evaluate(points, truth, tolerance_mm=25)["id_switches"] == 0
+    assert not np.any((points.kind == 0) & np.isin(points.frame, np.arange(70, 74)))
+
+
+def test_a_frame_without_dots_is_no_error(walk: ml.SimulatedTake) -> None:
+    tracker = ml.Tracker(walk.rig, rate_hz=100.0)
+    assert len(tracker.push({}).tracks) == 0
+    assert len(tracker.push({walk.rig.ids[0]: np.zeros((0, 2))}).tracks) == 0
+
+
+def test_ten_thousand_false_dots_take_bounded_time_and_are_reported(walk: ml.SimulatedTake) -> None:
+    take = walk.observations.select(0, 12)
+    random = np.random.default_rng(1)
+    n = 10_000
+    camera = random.integers(0, len(take.camera_ids), n)
+    size = walk.rig.cameras[0].size_px
+    noisy = replace(
+        take,
+        frame=np.append(take.frame, np.full(n, 8)),
+        camera=np.append(take.camera, camera),
+        pixel=np.concatenate([take.pixel, random.uniform((0, 0), size, (n, 2))]),
+    )
+    points = ml.track(noisy, walk.rig)
+    assert any("no new markers were looked for" in w for w in points.report["warnings"])
+    assert np.median([np.sum((points.frame == f) & (points.kind == 0)) for f in (6, 7, 9, 10)]) >= 30
+
+
+def test_time_and_rate_that_are_none_are_refused(walk: ml.SimulatedTake) -> None:
+    with pytest.raises(InputError, match="rate"):
+        ml.Tracker(walk.rig, rate_hz=0.0)
+    with pytest.raises(InputError, match="no frame rate"):
+        ml.track(walk.observations, walk.rig, rate_hz=0.0)
+    with pytest.raises(InputError, match="--rate-hz"):
+        ml.track(replace(walk.observations, rate_hz=None), walk.rig)
+    tracker = ml.Tracker(walk.rig, rate_hz=100.0)
+    tracker.push({}, frame=5)
+    with pytest.raises(InputError, match="order of time"):
+        tracker.push({}, frame=5)
+    with pytest.raises(InputError, match="order of time"):
+        tracker.push({}, time_s=0.0)
+
+
+def test_an_unknown_camera_or_a_wrong_shape_is_named(walk: ml.SimulatedTake) -> None:
+    tracker = ml.Tracker(walk.rig, rate_hz=100.0)
+    with pytest.raises(InputError, match="camera 'left'"):
+        tracker.push({"left": [[1.0, 2.0]]})
+    with pytest.raises(InputError, match="shape"):
+        tracker.push({walk.rig.ids[0]: [1.0, 2.0]})
