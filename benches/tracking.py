@@ -1,6 +1,6 @@
 """Trajectories against truth: simulated walks and dances, and a real take with cameras and frames left out.
 
-Run: python benches/tracking.py [simulated] [real] [--seeds=0,1,2,3,4]     (both parts without a choice; about 20 minutes)
+Run: python benches/tracking.py [simulated] [real] [--seeds=0,1,2,3,4]     (both parts: about 20 minutes)
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from real_data import DATA, UpperBody
 
 import markerloom as ml
+from real_data import DATA, UpperBody
 
 EASY: dict[str, object] = {"frames": 2633, "markers": 33, "sigma_px": 0.3}
 HARD: dict[str, object] = EASY | {"sigma_px": 1.0, "hide": "0.05", "clutter_per_frame": 0.2}
@@ -66,7 +66,10 @@ def real(take: UpperBody, cameras: list[str], step: int = 1) -> list[float]:
 def real_line(name: str, rows: list[list[float]]) -> str:
     """One printed row: means."""
     ghosts, missing, trajectories, switches = np.mean(rows, axis=0)
-    return f"{name:34} ghosts {ghosts:.4f}  missing {missing:.4f}  trajectories {trajectories:.2f}  switches {switches:.2f}"
+    return (
+        f"{name:34} ghosts {ghosts:.4f}  missing {missing:.4f}  "
+        f"trajectories {trajectories:.2f}  switches {switches:.2f}"
+    )
 
 
 def main() -> None:

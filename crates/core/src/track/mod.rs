@@ -206,12 +206,7 @@ impl Tracker {
     }
 
     /// A tracker that learns its prior from the frames as they come. `noise_px`: noise of the dots, where it is known.
-    pub fn learning(
-        rig: &Rig,
-        noise_px: Option<f64>,
-        rate_hz: f64,
-        options: TrackOptions,
-    ) -> Result<Self, TrackError> {
+    pub fn learning(rig: &Rig, noise_px: Option<f64>, rate_hz: f64, options: TrackOptions) -> Result<Self, TrackError> {
         let mut reconstruct = ReconstructOptions::default();
         reconstruct.estimate.noise = noise_px;
         let model = estimate_model(rig, &[], &reconstruct)?;
