@@ -17,6 +17,8 @@ pub struct Frame<'a> {
     pub widest_sigma_px: Vec<f64>,
     /// Whether nobody owns the dot yet.
     pub free: Vec<bool>,
+    /// Dots that markers look at without owning them; numbered after the frame's own.
+    borrowed: Vec<Sight>,
 }
 
 impl<'a> Frame<'a> {
@@ -29,6 +31,7 @@ impl<'a> Frame<'a> {
             by_camera: vec![Vec::new(); cameras],
             widest_sigma_px: vec![0.0; cameras],
             free: vec![true; dots.len()],
+            borrowed: Vec::new(),
         };
         for (index, dot) in dots.iter().enumerate() {
             let camera = &scene.rig.cameras[dot.camera];
@@ -62,8 +65,32 @@ impl<'a> Frame<'a> {
         self.sight(dot).sigma_px
     }
 
-    /// The ray of a usable dot.
+    /// Gives a dot at least so much noise (px), because it may be two markers' in one; returns the number of a loan of
+    /// it for the other marker.
+    pub fn share(&mut self, dot: u32, least_sigma_px: f64) -> u32 {
+        let sight = self.sight(dot);
+        let factor = sight.sigma_px.max(least_sigma_px) / sight.sigma_px;
+        let shared = Sight {
+            rows: sight.rows / factor,
+            sigma_px: sight.sigma_px * factor,
+            angle_sigma: sight.angle_sigma * factor,
+            ..sight.clone()
+        };
+        self.sights[dot as usize] = Some(shared.clone());
+        self.borrowed.push(shared);
+        (self.dots.len() + self.borrowed.len() - 1) as u32
+    }
+
+    /// Whether a number stands for a loan.
+    pub fn is_lent(&self, dot: u32) -> bool {
+        dot as usize >= self.dots.len()
+    }
+
+    /// The ray of a usable dot or a loan.
     pub fn sight(&self, dot: u32) -> &Sight {
+        if let Some(loan) = (dot as usize).checked_sub(self.dots.len()) {
+            return &self.borrowed[loan];
+        }
         self.sights[dot as usize].as_ref().expect("only usable dots are handed out")
     }
 

@@ -22,6 +22,8 @@ const SMALL_STEP: f64 = 1e-3;
 pub struct Located {
     /// Dots that agree, in ascending order.
     pub dots: Vec<u32>,
+    /// How many of them are the marker's own, not lent.
+    pub own: usize,
     /// The position, the prediction counted with room for a push (m).
     pub point: Vector3<f64>,
     /// Information M of the rays alone at that position (m⁻²).
@@ -39,7 +41,8 @@ impl Located {
             let weight = scene.model.tail.map_or(1.0, |t| t.weight(linear.error.norm_squared()));
             normal = normal.plus(&Normal::of(&linear, weight));
         }
-        Self { dots, point, information: normal.information(), pull: -normal.gradient() }
+        let own = dots.iter().filter(|&&d| !frame.is_lent(d)).count();
+        Self { dots, own, point, information: normal.information(), pull: -normal.gradient() }
     }
 
     /// The sample that it makes together with a prediction.

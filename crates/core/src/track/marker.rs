@@ -103,9 +103,14 @@ impl Marker {
         self.live
     }
 
-    /// Whether it is measured in this frame.
+    /// Whether its place in this frame is known: by two dots, merged ones counted.
     pub fn is_found(&self) -> bool {
         self.located.as_ref().is_some_and(|l| l.dots.len() >= 2)
+    }
+
+    /// Whether it is measured in this frame: by two dots of its own.
+    pub fn is_measured(&self) -> bool {
+        self.located.as_ref().is_some_and(|l| l.own >= 2)
     }
 
     /// Where it was found.
@@ -145,18 +150,27 @@ impl Marker {
 
     /// Whether one of its dots is of a camera.
     pub fn has_dot_of(&self, camera: usize, frame: &Frame) -> bool {
-        self.located.as_ref().is_some_and(|l| l.dots.iter().any(|&d| frame.dots[d as usize].camera == camera))
+        self.located.as_ref().is_some_and(|l| l.dots.iter().any(|&d| frame.sight(d).camera == camera))
     }
 
     /// Takes possession of its dots.
     pub fn claim(&self, free: &mut [bool]) {
-        self.located.iter().flat_map(|l| &l.dots).for_each(|&d| free[d as usize] = false);
+        self.mark(free, false);
     }
 
     /// Gives its dots back.
     pub fn release(&mut self, free: &mut [bool]) {
-        self.located.iter().flat_map(|l| &l.dots).for_each(|&d| free[d as usize] = true);
+        self.mark(free, true);
         self.located = None;
+    }
+
+    /// Marks its own dots; loans lie beyond the frame's.
+    fn mark(&self, free: &mut [bool], as_free: bool) {
+        for &dot in self.located.iter().flat_map(|l| &l.dots) {
+            if let Some(place) = free.get_mut(dot as usize) {
+                *place = as_free;
+            }
+        }
     }
 
     /// Found again at a point of the full correspondence, wherever it was expected.
@@ -181,7 +195,7 @@ impl Marker {
         if located.dots.len() < 2 {
             self.state = posterior(&self.prior.point, &self.prior.covariance, &information, &pull)
                 .unwrap_or((self.prior.point, self.prior.covariance));
-            self.settle_one_ray(&information);
+            self.settle_unmeasured(&information);
             self.missed(drift);
             return;
         }
@@ -211,8 +225,8 @@ impl Marker {
         }
     }
 
-    /// One ray moves the filter across its direction.
-    fn settle_one_ray(&mut self, information: &Matrix3<f64>) {
+    /// One ray moves the filter across its direction; a merged dot a little.
+    fn settle_unmeasured(&mut self, information: &Matrix3<f64>) {
         let Some(located) = &self.located else { return };
         let pull = located.pull_from(&self.filter.position);
         if let Some((point, covariance)) =
@@ -275,7 +289,7 @@ impl Marker {
     /// What is given out for this frame.
     pub fn sample(&self, frame: &Frame) -> Sample {
         let dots: &[u32] = self.located.as_ref().map_or(&[], |l| &l.dots);
-        let kind = if self.is_found() { Kind::Measured } else { Kind::Predicted };
+        let kind = if self.is_measured() { Kind::Measured } else { Kind::Predicted };
         let confidence = 1.0 / (1.0 + (-self.log_odds).exp());
         let sample = Sample::of_dots(frame, self.track, self.state, kind, dots, confidence);
         Sample { confirmed: self.confirmed, ..sample }

@@ -21,6 +21,7 @@ mod locate;
 mod marker;
 mod rematch;
 pub mod repair;
+mod share;
 mod view;
 
 pub use clock::{Moment, TimeError};
@@ -40,6 +41,7 @@ use frame::Frame;
 use locate::{LocateGates, locate};
 use marker::Marker;
 use nalgebra::{Matrix3, Vector3};
+use share::Merging;
 use thiserror::Error;
 use view::{Prior, match_camera};
 
@@ -86,7 +88,8 @@ impl Sample {
         confidence: f64,
     ) -> Self {
         let (mut squared_px, mut distance) = (0.0, 0.0);
-        for &dot in dots {
+        let dots: Vec<u32> = dots.iter().copied().filter(|&d| !frame.is_lent(d)).collect();
+        for &dot in &dots {
             let sight = frame.sight(dot);
             squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px.powi(2);
             distance += (point - sight.origin).cross(&sight.direction).norm();
@@ -97,7 +100,7 @@ impl Sample {
             point,
             covariance,
             kind,
-            dots: dots.to_vec(),
+            dots,
             residual_px: (squared_px / n).sqrt(),
             ray_distance_m: distance / n,
             confidence,
@@ -185,6 +188,7 @@ pub struct Tracker {
     adaptation: Option<Adaptation>,
     /// Dots of a usual frame.
     usual_dots: Option<f64>,
+    merging: Merging,
 }
 
 impl Tracker {
@@ -202,6 +206,7 @@ impl Tracker {
             next_track: 0,
             adaptation: None,
             usual_dots: None,
+            merging: Merging::default(),
         })
     }
 
@@ -235,6 +240,7 @@ impl Tracker {
         self.search(&mut frame);
         self.confirm_tentative(&mut frame);
         self.regate(&mut frame);
+        self.share(&mut frame);
         let searched = self.fall_back(&frame);
         let groups = self.rematch(&mut frame, searched.groups);
         if !searched.overfull {
@@ -453,7 +459,7 @@ impl Tracker {
     }
 
     fn learn(&mut self) {
-        let seen: Vec<Seen> = self.markers.iter().filter(|m| m.confirmed && m.is_found()).map(Marker::seen).collect();
+        let seen: Vec<Seen> = self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
         self.body.learn(&seen, self.clock.time_s);
     }
 

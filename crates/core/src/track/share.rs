@@ -1,0 +1,132 @@
+//! Merged blobs: two markers so near in an image that the camera gives one dot for both.
+//!
+//! Where a marker has no dot in a camera and its rigid neighbour's dot lies where their two images run together, that
+//! dot may be one for both. Its owner keeps it, with a noise as large as the blob could hide; the other, where it lacks a
+//! second ray, is lent it (a marker placed by loans is predicted, not measured). What "near" is, is learned from
+//! the dots: two that are nearer than any two ever were are one.
+
+use super::Tracker;
+use super::frame::Frame;
+use super::locate::locate;
+use super::marker::Marker;
+use nalgebra::{Vector2, Vector3};
+
+/// What the distance of the nearest two dots of a frame tells about merging: its quantile, followed in steps (px).
+const QUANTILE: f64 = 0.1;
+const STEP_PX: f64 = 0.05;
+const RANGE_PX: [f64; 2] = [1.0, 8.0];
+/// Only a marker that is known this well is looked for in the dots of others (m).
+const KNOWN: f64 = 0.02;
+/// Two markers whose distance in the image is up to this many merging distances can be one blob at times.
+const MERGED: f64 = 1.5;
+/// Innovation allowed beyond the merging distance (standard deviations).
+const GATE_SIGMAS: f64 = 3.0;
+
+/// The distance at which two dots become one, as learned.
+#[derive(Clone, Copy, Debug)]
+pub struct Merging {
+    /// Distance (px).
+    pub distance_px: f64,
+}
+
+impl Default for Merging {
+    fn default() -> Self {
+        Self { distance_px: 3.0 }
+    }
+}
+
+impl Merging {
+    /// Takes in the nearest two dots of a frame.
+    pub fn learn(&mut self, frame: &Frame) {
+        let Some(nearest) = nearest_px(frame) else { return };
+        let step = if nearest < self.distance_px { QUANTILE - 1.0 } else { QUANTILE };
+        self.distance_px = (self.distance_px + STEP_PX * step).clamp(RANGE_PX[0], RANGE_PX[1]);
+    }
+}
+
+fn nearest_px(frame: &Frame) -> Option<f64> {
+    let mut nearest: Option<f64> = None;
+    for dots in &frame.by_camera {
+        for (i, &a) in dots.iter().enumerate() {
+            for &b in &dots[i + 1..] {
+                let offset = frame.pixel(b) - frame.pixel(a);
+                if offset.x > nearest.unwrap_or(RANGE_PX[1]) {
+                    break;
+                }
+                nearest = Some(nearest.map_or(offset.norm(), |n| n.min(offset.norm())));
+            }
+        }
+    }
+    nearest
+}
+
+/// A dot that is one for two markers.
+struct Shared {
+    dot: u32,
+    owner: usize,
+    other: usize,
+    /// Noise that the merging adds (px).
+    noise_px: f64,
+}
+
+impl Tracker {
+    /// Makes merged dots noisy, and lends them to the markers that lack rays.
+    pub(super) fn share(&mut self, frame: &mut Frame) {
+        self.merging.learn(frame);
+        let shared = self.shared_dots(frame);
+        if shared.is_empty() {
+            return;
+        }
+        let mut dots: Vec<Option<Vec<u32>>> = vec![None; self.markers.len()];
+        for s in &shared {
+            let lent = frame.share(s.dot, s.noise_px);
+            let own = |index: usize| self.markers[index].located.iter().flat_map(|l| l.dots.clone()).collect();
+            dots[s.owner].get_or_insert_with(|| own(s.owner));
+            if !self.markers[s.other].is_found() {
+                dots[s.other].get_or_insert_with(|| own(s.other)).push(lent);
+            }
+        }
+        for (marker, dots) in self.markers.iter_mut().zip(dots) {
+            let Some(dots) = dots else { continue };
+            let located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
+            if let Some(better) = located.filter(|l| l.dots.len() >= 2) {
+                marker.located = Some(better);
+            }
+        }
+    }
+
+    /// Dots that are one for two rigid neighbours.
+    fn shared_dots(&self, frame: &Frame) -> Vec<Shared> {
+        let mut at: Vec<Option<usize>> = vec![None; self.slots.len()];
+        self.markers.iter().enumerate().filter(|(_, m)| m.confirmed).for_each(|(i, m)| at[m.slot] = Some(i));
+        let mut found = Vec::new();
+        for (owner, one) in self.markers.iter().enumerate().filter(|(_, m)| m.confirmed) {
+            let Some(located) = &one.located else { continue };
+            for link in self.body.links.of(one.slot) {
+                let Some(other) = at[link.other].filter(|_| link.is_rigid()) else { continue };
+                for &dot in &located.dots {
+                    let noise_px = self.merged(frame, dot, link.mean_m, &self.markers[other]);
+                    found.extend(noise_px.map(|noise_px| Shared { dot, owner, other, noise_px }));
+                }
+            }
+        }
+        found
+    }
+
+    /// Whether the dot of a marker at a distance (m) is another's too; if so, what noise the merging adds (px).
+    fn merged(&self, frame: &Frame, dot: u32, distance_m: f64, other: &Marker) -> Option<f64> {
+        let sight = frame.sight(dot);
+        let known = other.is_found() || other.prior.covariance.trace() < KNOWN * KNOWN;
+        let place: Vector3<f64> = other.found_at().unwrap_or(other.prior.point);
+        let px_per_m = sight.rows.norm() * std::f64::consts::FRAC_1_SQRT_2 * sight.sigma_px / sight.depth(&place);
+        let reach = MERGED * self.merging.distance_px;
+        if !known || distance_m * px_per_m > 2.0 * reach || other.has_dot_of(sight.camera, frame) {
+            return None;
+        }
+        let (pixel, by_point) = self.scene.rig.cameras[sight.camera].project_linear(&place)?;
+        let spread = if other.is_found() { 0.0 } else { (by_point * other.prior.covariance * by_point.transpose()).trace() };
+        let offset: Vector2<f64> = frame.pixel(dot) - pixel;
+        let near = offset.norm() < self.merging.distance_px + GATE_SIGMAS * spread.sqrt().hypot(sight.sigma_px);
+        near.then_some(0.5 * self.merging.distance_px.min(distance_m * px_per_m))
+    }
+}
