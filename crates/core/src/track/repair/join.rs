@@ -473,23 +473,14 @@ impl Scene<'_> {
         total
     }
 
-    /// Evidence of motion between neighbours in time; `None` if the chains overlap or nothing moves so fast.
+    /// Evidence of motion that two chains are one: along both together, beyond that along each. `None` if they overlap
+    /// or nothing moves so fast.
     fn motion(&self, a: usize, b: usize) -> Option<f64> {
-        let mut order: Vec<(usize, bool)> = Vec::new();
-        order.extend(self.chains[a].tracklets.iter().map(|&t| (t, true)));
-        order.extend(self.chains[b].tracklets.iter().map(|&t| (t, false)));
-        order.sort_unstable_by_key(|&(t, _)| (self.tracklets[t].first, t));
-        let mut evidence = 0.0;
-        for pair in order.windows(2) {
-            let (before, after) = (&self.tracklets[pair[0].0], &self.tracklets[pair[1].0]);
-            if before.last() >= after.first {
-                return None;
-            }
-            if pair[0].1 != pair[1].1 {
-                evidence += self.bridge(before, after)?;
-            }
-        }
-        Some(evidence.min(2.0 * MOTION_FOR))
+        let (one, other) = (&self.chains[a].tracklets, &self.chains[b].tracklets);
+        let mut both: Vec<usize> = one.iter().chain(other).copied().collect();
+        both.sort_unstable_by_key(|&t| (self.tracklets[t].first, t));
+        let together = self.path_evidence(&both)?;
+        Some((together - self.path_evidence(one)? - self.path_evidence(other)?).min(2.0 * MOTION_FOR))
     }
 
     /// Evidence that one tracklet goes on as another, by their places and velocities at the gap.
