@@ -33,6 +33,10 @@ class Tracker:
     def model(self) -> SceneModel: ...
     def frame_ms(self) -> list[float]: ...
 
+def track_points(
+    starts: Sequence[int], point_m: Floats, sigma_m: Floats, frames: Sequence[int], rate_hz: float, confirmed_only: bool
+) -> dict[str, Any]: ...
+
 class C3d:
     rate_hz: float
     first_frame: int

@@ -208,9 +208,11 @@ def reconstruct(
 
 @app.command()
 def track(
-    observations: Annotated[Path, typer.Argument(help=".x2d, .parquet, .csv, .csv.gz or a Tracker dump")],
-    calibration: Calibration,
-    output: Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")],
+    take: Annotated[Path, typer.Argument(help="Dots: .x2d, .parquet, .csv or a dump. Points: .c3d, .trc, .csv, …")],
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="The cameras, where the take holds dots.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")] = ...,  # pyright: ignore[reportArgumentType]
     causal: Annotated[bool, typer.Option("--causal", help="Only what a live user would have seen.")] = False,
     frames: Frames = None,
     assignments: Annotated[Path | None, typer.Option(help="Write which dots made which point.")] = None,
@@ -222,34 +224,50 @@ def track(
 ) -> None:
     """Follow every marker through time: one trajectory per marker, through occlusions and sharp turns.
 
-    Example: markerloom track take.x2d --calibration take.xcp -o trajectories.c3d --rate-hz 100
+    Without a calibration, the take holds points of any system, anonymous or broken.
+
+    Examples: markerloom track take.x2d --calibration take.xcp -o trajectories.c3d --rate-hz 100
+    · markerloom track broken.c3d -o trajectories.c3d
     """
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     wanted = frame_range(frames)
-    take, rig = _take_and_rig(observations, calibration, calibration_units, rate_hz, output)
+    if calibration is None:
+        dots_only = {"--assignments": assignments, "--noise-px": noise_px}
+        for option in (o for o, value in dots_only.items() if value is not None):
+            raise typer.BadParameter(f"{option} is for dots, which need --calibration")
+        _check_points_ending(output)
+        source, rig = formats.read_points(take), None
+        source = source if rate_hz is None else _with_rate(source, rate_hz)
+    else:
+        source, rig = _take_and_rig(take, calibration, calibration_units, rate_hz, output)
     with progress_bar("track", quiet) as progress:
-        points = run_track(take, rig, causal=causal, frames=wanted, noise_px=noise_px, progress=progress)
+        points = run_track(source, rig, causal=causal, frames=wanted, noise_px=noise_px, progress=progress)
     formats.write_points(points, output)
     if assignments is not None:
         table_file.write(points.assignments, assignments)
     result = points.report
     warn(quiet, result["warnings"])
+    residual = f"residual {result['residual_px']['median']:.3f} px" if rig else f"noise {result['noise_mm']:.2f} mm"
     say(
         quiet,
         f"{result['frames']} frames, {result['trajectories']} trajectories, {result['points_per_frame']:.2f} measured "
-        f"and {result['predicted_per_frame']:.2f} predicted points per frame, residual "
-        f"{result['residual_px']['median']:.3f} px → {output}",
+        f"and {result['predicted_per_frame']:.2f} predicted points per frame, {residual} → {output}",
     )
-    finish(report, [observations, calibration], options, result)
+    finish(report, [take] if calibration is None else [take, calibration], options, result)
+
+
+def _check_points_ending(output: Path) -> str:
+    ending = formats.ending(output)
+    if ending not in formats.POINTS_WRITTEN:
+        raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
+    return ending
 
 
 def _take_and_rig(
     observations: Path, calibration: Path, units: str, rate_hz: float | None, output: Path
 ) -> tuple[Observations, Rig]:
     """Read the inputs of a verb that writes points; refuses at once what could not be written."""
-    ending = formats.ending(output)
-    if ending not in formats.POINTS_WRITTEN:
-        raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
+    ending = _check_points_ending(output)
     take = formats.read_observations(observations)
     rig = formats.read_calibration(calibration, units=units)
     if rate_hz is not None:

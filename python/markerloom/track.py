@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.observations import DotArrays, MatchedDots, Observations, match
-from markerloom.points import KINDS
+from markerloom.points import KINDS, Points
 from markerloom.reconstruct import (
     CHUNK_FRAMES,
     Progress,
@@ -26,6 +26,7 @@ from markerloom.reconstruct import (
     usable_dots,
 )
 from markerloom.rig import Rig
+from markerloom.track_points import track_points
 
 Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
@@ -115,8 +116,8 @@ class Tracker:
 
 
 def track(
-    observations: Observations,
-    rig: Rig,
+    take: Observations | Points,
+    rig: Rig | None = None,
     *,
     rate_hz: float | None = None,
     causal: bool = False,
@@ -124,7 +125,7 @@ def track(
     noise_px: float | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Follow every marker of a take through time.
+    """Follow every marker of a take through time: from dots and their ``rig``, or from anonymous or broken points.
 
     ``rate_hz``: frame rate where the observations do not state it. ``causal``: exactly what a live user would have
     seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
@@ -134,8 +135,11 @@ def track(
     Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
     when the cameras cannot give a depth.
     """
-    if frames is not None:
-        observations = observations.select(*frames)
+    if isinstance(take, Points):
+        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames)
+    if rig is None:
+        raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
+    observations = take if frames is None else take.select(*frames)
     observations = replace(observations, rate_hz=_rate(observations, rate_hz))
     clock = time.perf_counter()
     stages = {}

@@ -9,6 +9,7 @@ mod reconstruct;
 mod rig;
 mod synth;
 mod track;
+mod track_points;
 mod triangulate;
 mod x2d;
 
@@ -21,6 +22,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<rig::PyRig>()?;
     module.add_class::<reconstruct::PyModel>()?;
     module.add_class::<track::PyTracker>()?;
+    module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
     module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;

@@ -109,7 +109,7 @@ impl PyTracker {
     }
 }
 
-fn arrays<'py>(
+pub fn arrays<'py>(
     py: Python<'py>,
     frames: &[Tracked],
     starts: &[usize],

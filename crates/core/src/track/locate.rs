@@ -22,7 +22,9 @@ const SMALL_STEP: f64 = 1e-3;
 pub struct Located {
     /// Dots that agree, in ascending order.
     pub dots: Vec<u32>,
-    /// How many of them are the marker's own, not lent.
+    /// Rays that meet there, lent ones counted.
+    pub rays: usize,
+    /// Rays of dots that are the marker's own.
     pub own: usize,
     /// The position, the prediction counted with room for a push (m).
     pub point: Vector3<f64>,
@@ -42,15 +44,21 @@ impl Located {
             normal = normal.plus(&Normal::of(&linear, weight));
         }
         let own = dots.iter().filter(|&&d| !frame.is_lent(d)).count();
-        Self { dots, own, point, information: normal.information(), pull: -normal.gradient() }
+        Self { rays: dots.len(), own, dots, point, information: normal.information(), pull: -normal.gradient() }
+    }
+
+    /// A position that another system has measured; it counts as seen well. `None` if the covariance is singular.
+    pub fn measured(index: u32, point: Vector3<f64>, covariance: &Matrix3<f64>) -> Option<Self> {
+        let information = covariance.try_inverse()?;
+        Some(Self { dots: vec![index], rays: 3, own: 3, point, information, pull: Vector3::zeros() })
     }
 
     /// The sample that it makes together with a prediction.
     pub fn sample(&self, frame: &Frame, track: u32, prior: &Prior, confidence: f64) -> Option<Sample> {
         let pull = self.pull_from(&prior.point);
         let (point, covariance) = posterior(&prior.point, &prior.wide(), &self.information, &pull)?;
-        let kind = if self.dots.len() >= 2 { Kind::Measured } else { Kind::Predicted };
-        Some(Sample::of_dots(frame, track, (point, covariance), kind, &self.dots, confidence))
+        let kind = if self.own >= 2 { Kind::Measured } else { Kind::Predicted };
+        Some(Sample::new(track, (point, covariance), kind, &self.dots, confidence).with_rays(frame))
     }
 
     /// M (z − from).

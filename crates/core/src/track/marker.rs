@@ -6,8 +6,6 @@ use super::frame::Frame;
 use super::locate::{Located, posterior};
 use super::view::Prior;
 use super::{Kind, Sample};
-use crate::correspond::Group;
-use crate::correspond::scene::Scene;
 use nalgebra::{Matrix3, Vector3};
 
 /// Spread of the acceleration of a marker of which nothing is known (m/s²), and what any marker's stays within.
@@ -65,37 +63,25 @@ pub struct Marker {
 }
 
 impl Marker {
-    /// A marker from a point that was nobody's.
-    pub fn born(
-        track: u32,
-        slot: usize,
-        scene: &Scene,
-        frame: &Frame,
-        group: &Group,
-        time_s: f64,
-        confirmed: bool,
-    ) -> Self {
-        let odds = (group.confidence / (1.0 - group.confidence).max(1e-9)).ln().min(SUREST);
-        let filter = Filter::new(group.point, &group.covariance, FIRST_ACCELERATION);
-        let prior = Prior { point: group.point, covariance: group.covariance, push: 0.0 };
-        let mut marker = Self {
+    /// A marker from a point that was nobody's, found with `confidence`.
+    pub fn born(track: u32, slot: usize, found: Located, confidence: f64, time_s: f64, confirmed: bool) -> Self {
+        let covariance = found.information.try_inverse().unwrap_or_else(Matrix3::identity);
+        Self {
             track,
             slot,
-            filter,
+            filter: Filter::new(found.point, &covariance, FIRST_ACCELERATION),
             confirmed,
-            prior,
-            located: None,
+            prior: Prior { point: found.point, covariance, push: 0.0 },
             acceleration: FIRST_ACCELERATION,
             seen_s: time_s,
             live: true,
             hits: 1,
-            wide_hits: u32::from(group.dots.len() >= 3),
+            wide_hits: u32::from(found.rays >= 3),
             misses: 0,
-            log_odds: odds,
-            state: (group.point, group.covariance),
-        };
-        marker.refind(scene, frame, group);
-        marker
+            log_odds: (confidence / (1.0 - confidence).max(1e-9)).ln().min(SUREST),
+            state: (found.point, covariance),
+            located: Some(found),
+        }
     }
 
     /// Whether it was measured in the last frame.
@@ -105,7 +91,7 @@ impl Marker {
 
     /// Whether its place in this frame is known: by two dots, merged ones counted.
     pub fn is_found(&self) -> bool {
-        self.located.as_ref().is_some_and(|l| l.dots.len() >= 2)
+        self.located.as_ref().is_some_and(|l| l.rays >= 2)
     }
 
     /// Whether it is measured in this frame: by two dots of its own.
@@ -173,14 +159,12 @@ impl Marker {
         }
     }
 
-    /// Found again at a point of the full correspondence, wherever it was expected.
-    pub fn refind(&mut self, scene: &Scene, frame: &Frame, group: &Group) {
-        let mut dots: Vec<u32> = group.dots.iter().map(|&d| d as u32).collect();
-        dots.sort_unstable();
-        self.located = Some(Located::at(scene, frame, dots, group.point));
-        let away = (group.point - self.prior.point).norm();
+    /// Found again at a point, wherever it was expected.
+    pub fn refind(&mut self, found: Located) {
+        let away = (found.point - self.prior.point).norm();
         // The prediction was wrong by this much: it counts for no more than that.
         self.prior.push = self.prior.push.max(away * away);
+        self.located = Some(found);
     }
 
     /// Measurement update; `drift` is how the marker's neighbours move.
@@ -192,14 +176,14 @@ impl Marker {
         };
         let information = located.information;
         let pull = located.pull_from(&self.prior.point);
-        if located.dots.len() < 2 {
+        if located.rays < 2 {
             self.state = posterior(&self.prior.point, &self.prior.covariance, &information, &pull)
                 .unwrap_or((self.prior.point, self.prior.covariance));
             self.settle_unmeasured(&information);
             self.missed(drift);
             return;
         }
-        let rays = located.dots.len();
+        let rays = located.rays;
         let hidden_s = time_s - self.seen_s;
         if !self.live && hidden_s > STALE_S {
             self.restart(&information, &pull, drift);
@@ -287,11 +271,11 @@ impl Marker {
     }
 
     /// What is given out for this frame.
-    pub fn sample(&self, frame: &Frame) -> Sample {
+    pub fn sample(&self) -> Sample {
         let dots: &[u32] = self.located.as_ref().map_or(&[], |l| &l.dots);
         let kind = if self.is_measured() { Kind::Measured } else { Kind::Predicted };
         let confidence = 1.0 / (1.0 + (-self.log_odds).exp());
-        let sample = Sample::of_dots(frame, self.track, self.state, kind, dots, confidence);
+        let sample = Sample::new(self.track, self.state, kind, dots, confidence);
         Sample { confirmed: self.confirmed, ..sample }
     }
 }

@@ -15,10 +15,12 @@
 mod adapt;
 pub mod body;
 mod clock;
+mod crowd;
 pub mod filter;
 mod frame;
 mod locate;
 mod marker;
+pub mod points;
 mod rematch;
 pub mod repair;
 mod share;
@@ -34,11 +36,9 @@ use crate::correspond::frame::{Dot, PreparedFrame};
 use crate::correspond::optimal::{OptimalOptions, optimal};
 use crate::correspond::scene::{Scene, SceneModel};
 use crate::reconstruct::{ReconstructError, ReconstructOptions, estimate_model};
-use body::{Body, Seen};
-use clock::Clock;
-use filter::Step;
+use crowd::Crowd;
 use frame::Frame;
-use locate::{LocateGates, locate};
+use locate::{LocateGates, Located, locate};
 use marker::Marker;
 use nalgebra::{Matrix3, Vector3};
 use share::Merging;
@@ -78,34 +78,31 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// A believed sample with what its dots say about it.
-    fn of_dots(
-        frame: &Frame,
+    /// A believed sample, as yet without what its rays say.
+    fn new(
         track: u32,
         (point, covariance): (Vector3<f64>, Matrix3<f64>),
         kind: Kind,
         dots: &[u32],
         confidence: f64,
     ) -> Self {
+        let (residual_px, ray_distance_m) = (0.0, 0.0);
+        let dots = dots.to_vec();
+        Self { track, point, covariance, kind, dots, residual_px, ray_distance_m, confidence, confirmed: true }
+    }
+
+    /// Adds how far its own dots are from where it is; loans go.
+    fn with_rays(mut self, frame: &Frame) -> Self {
+        self.dots.retain(|&d| !frame.is_lent(d));
         let (mut squared_px, mut distance) = (0.0, 0.0);
-        let dots: Vec<u32> = dots.iter().copied().filter(|&d| !frame.is_lent(d)).collect();
-        for &dot in &dots {
+        for &dot in &self.dots {
             let sight = frame.sight(dot);
-            squared_px += sight.linearise(&point).error.norm_squared() * sight.sigma_px.powi(2);
-            distance += (point - sight.origin).cross(&sight.direction).norm();
+            squared_px += sight.linearise(&self.point).error.norm_squared() * sight.sigma_px.powi(2);
+            distance += (self.point - sight.origin).cross(&sight.direction).norm();
         }
-        let n = dots.len().max(1) as f64;
-        Self {
-            track,
-            point,
-            covariance,
-            kind,
-            dots,
-            residual_px: (squared_px / n).sqrt(),
-            ray_distance_m: distance / n,
-            confidence,
-            confirmed: true,
-        }
+        let n = self.dots.len().max(1) as f64;
+        (self.residual_px, self.ray_distance_m) = ((squared_px / n).sqrt(), distance / n);
+        self
     }
 }
 
@@ -178,12 +175,7 @@ const BIRTHS_PER_FRAME: f64 = 0.1;
 pub struct Tracker {
     scene: Scene,
     gates: LocateGates,
-    options: TrackOptions,
-    clock: Clock,
-    markers: Vec<Marker>,
-    body: Body,
-    slots: Vec<bool>,
-    next_track: u32,
+    crowd: Crowd,
     /// `None` where the prior was given.
     adaptation: Option<Adaptation>,
     /// Dots of a usual frame.
@@ -198,12 +190,7 @@ impl Tracker {
         Ok(Self {
             gates: LocateGates::new(&scene),
             scene,
-            options,
-            clock: Clock::new(rate_hz)?,
-            markers: Vec::new(),
-            body: Body::default(),
-            slots: Vec::new(),
-            next_track: 0,
+            crowd: Crowd::new(rate_hz, options)?,
             adaptation: None,
             usual_dots: None,
             merging: Merging::default(),
@@ -232,13 +219,12 @@ impl Tracker {
     }
 
     fn push_sorted(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
-        let step = self.clock.advance(moment)?;
+        let step = self.crowd.advance(moment)?;
         self.adapt(dots);
         let mut frame = Frame::new(&self.scene, dots);
-        self.predict(&step);
-        self.confirm(&mut frame);
+        self.assign(&mut frame, |m| m.confirmed);
         self.search(&mut frame);
-        self.confirm_tentative(&mut frame);
+        self.assign(&mut frame, |m| !m.confirmed);
         self.regate(&mut frame);
         self.share(&mut frame);
         let searched = self.fall_back(&frame);
@@ -247,13 +233,12 @@ impl Tracker {
             let usual = self.usual_dots.unwrap_or(dots.len() as f64);
             self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
         }
-        self.settle(&step);
-        self.give_birth(&frame, groups);
-        let samples = self.samples(&frame);
-        self.learn();
-        self.forget();
+        self.crowd.settle(&step);
+        self.give_birth(&frame, &groups);
+        let samples = self.crowd.samples(|p| self.scene.model.region.contains(p));
+        self.crowd.learn_and_forget();
         Ok(Tracked {
-            samples,
+            samples: samples.into_iter().map(|s| s.with_rays(&frame)).collect(),
             searched_dots: searched.dots,
             overfull: searched.overfull,
             certified: searched.certified,
@@ -274,66 +259,30 @@ impl Tracker {
 
     /// Time of the last frame (s).
     pub fn time_s(&self) -> f64 {
-        self.clock.time_s
-    }
-
-    /// Predictions of all markers; of hidden ones also by their neighbours' predicted places.
-    fn predict(&mut self, step: &Step) {
-        for marker in &mut self.markers {
-            marker.predict(step);
-        }
-        let now = self.places(|m| (m.is_live()).then_some(m.filter.position));
-        self.carry(&now);
-    }
-
-    /// Places by slot.
-    fn places(&self, place: impl Fn(&Marker) -> Option<Vector3<f64>>) -> Vec<Option<Vector3<f64>>> {
-        let mut now = vec![None; self.slots.len()];
-        self.markers.iter().filter(|m| m.confirmed).for_each(|m| now[m.slot] = place(m));
-        now
-    }
-
-    /// Improves the predictions of hidden markers by what their neighbours' places say.
-    fn carry(&mut self, now: &[Option<Vector3<f64>>]) {
-        let time_s = self.time_s();
-        for marker in &mut self.markers {
-            if !marker.is_found() && marker.confirmed && now[marker.slot].is_none() {
-                let carried = self.body.carry(marker.slot, &marker.own_prediction(), now, time_s);
-                marker.carry(&carried);
-            }
-        }
-    }
-
-    fn confirm(&mut self, frame: &mut Frame) {
-        self.assign(frame, |m| m.confirmed);
+        self.crowd.clock.time_s
     }
 
     /// Looks for confirmed markers that were not found where their neighbours say they are.
     fn search(&mut self, frame: &mut Frame) {
-        if self.markers.iter().all(|m| !m.confirmed || m.is_found()) {
+        if self.crowd.markers.iter().all(|m| !m.confirmed || m.is_found()) {
             return;
         }
-        for marker in self.markers.iter_mut().filter(|m| m.confirmed && !m.is_found()) {
+        for marker in self.crowd.markers.iter_mut().filter(|m| m.confirmed && !m.is_found()) {
             marker.release(&mut frame.free);
         }
-        let now = self.places(Marker::found_at);
-        self.carry(&now);
+        self.crowd.carry_lost();
         self.assign(frame, |m| m.confirmed && !m.is_found());
-    }
-
-    fn confirm_tentative(&mut self, frame: &mut Frame) {
-        self.assign(frame, |m| !m.confirmed);
     }
 
     /// Assigns free dots to some of the markers and checks that each marker's dots meet.
     fn assign(&mut self, frame: &mut Frame, which: impl Fn(&Marker) -> bool) {
-        let priors: Vec<Option<Prior>> = self.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
+        let priors: Vec<Option<Prior>> = self.crowd.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
         let mut found: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
         for camera in 0..self.scene.rig.cameras.len() {
             let matched = match_camera(&self.scene, frame, camera, &priors, |_| true);
             matched.pairs.iter().for_each(|&(who, dot)| found[who].push(dot));
         }
-        for (marker, mut dots) in self.markers.iter_mut().zip(found) {
+        for (marker, mut dots) in self.crowd.markers.iter_mut().zip(found) {
             if !dots.is_empty() {
                 dots.sort_unstable();
                 marker.located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
@@ -345,17 +294,17 @@ impl Tracker {
     /// Offers left-over dots to markers that are known well by now, camera by camera.
     fn regate(&mut self, frame: &mut Frame) {
         let priors: Vec<Option<Prior>> =
-            self.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
+            self.crowd.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
         let mut more: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
         for camera in 0..self.scene.rig.cameras.len() {
             if !frame.by_camera[camera].iter().any(|&d| frame.free[d as usize]) {
                 continue;
             }
-            let lacks = |who: usize| !self.markers[who].has_dot_of(camera, frame);
+            let lacks = |who: usize| !self.crowd.markers[who].has_dot_of(camera, frame);
             let matched = match_camera(&self.scene, frame, camera, &priors, lacks);
             matched.pairs.iter().for_each(|&(who, dot)| more[who].push(dot));
         }
-        for (marker, more) in self.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
+        for (marker, more) in self.crowd.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
             let mut dots = more;
             dots.extend(marker.located.iter().flat_map(|l| &l.dots));
             dots.sort_unstable();
@@ -372,8 +321,8 @@ impl Tracker {
     /// The full correspondence of what nobody owns.
     fn fall_back(&mut self, frame: &Frame) -> Searched {
         let left: Vec<usize> = frame.left_over().into_iter().filter(|&d| !is_half(frame, d)).collect();
-        let live = self.markers.iter().filter(|m| m.is_found()).count() as f64;
-        let lost = self.markers.iter().filter(|m| !m.is_found()).count() as f64;
+        let live = self.crowd.markers.iter().filter(|m| m.is_found()).count() as f64;
+        let lost = self.crowd.markers.iter().filter(|m| !m.is_found()).count() as f64;
         let missing =
             (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
         self.scene.ln_expected = (missing + BIRTHS_PER_FRAME).ln();
@@ -386,7 +335,7 @@ impl Tracker {
         }
         let dots: Vec<Dot> = left.iter().map(|&d| frame.dots[d]).collect();
         let prepared = PreparedFrame::new(&self.scene, &dots);
-        let mut solved = optimal(&self.scene, &prepared, &self.options.fall_back);
+        let mut solved = optimal(&self.scene, &prepared, &self.crowd.options.fall_back);
         for group in &mut solved.groups {
             group.dots.iter_mut().for_each(|d| *d = left[*d]);
         }
@@ -395,86 +344,43 @@ impl Tracker {
 
     /// Gives new points to lost markers; returns those that are nobody's.
     fn rematch(&mut self, frame: &mut Frame, groups: Vec<Group>) -> Vec<Group> {
-        let now = self.places(Marker::found_at);
-        let lost: Vec<usize> =
-            (0..self.markers.len()).filter(|&i| self.markers[i].confirmed && !self.markers[i].is_found()).collect();
-        let given = rematch::rematch(&self.markers, &lost, &groups, &self.body.links, &now);
+        let owners = self.crowd.owners(&groups);
         let mut left = Vec::new();
-        for (group, owner) in groups.into_iter().zip(given) {
-            match owner {
-                Some(lost_index) => {
-                    let marker = &mut self.markers[lost[lost_index]];
-                    marker.release(&mut frame.free);
-                    marker.refind(&self.scene, frame, &group);
-                    marker.claim(&mut frame.free);
-                }
-                None => left.push(group),
-            }
+        for (group, owner) in groups.into_iter().zip(owners) {
+            let Some(owner) = owner else {
+                left.push(group);
+                continue;
+            };
+            let marker = &mut self.crowd.markers[owner];
+            marker.release(&mut frame.free);
+            marker.refind(Located::at(&self.scene, frame, dots_of(&group), group.point));
+            marker.claim(&mut frame.free);
         }
         left
     }
 
-    /// Filters take in the measurements; markers count their hits and misses.
-    fn settle(&mut self, step: &Step) {
-        let time_s = self.time_s();
-        let velocities: Vec<Option<Vector3<f64>>> = self.places(|m| m.is_live().then_some(m.filter.velocity));
-        for marker in &mut self.markers {
-            let drift = mean_velocity(&self.body, marker.slot, &velocities);
-            marker.settle(step, time_s, drift);
-        }
-    }
-
     /// New markers from points that are nobody's.
-    fn give_birth(&mut self, frame: &Frame, groups: Vec<Group>) {
-        let first = self.next_track == 0;
+    fn give_birth(&mut self, frame: &Frame, groups: &[Group]) {
+        let first = self.crowd.is_new();
         for group in groups {
             let near = |m: &Marker| {
                 let least = SMALLEST_DISTANCE.max(2.0 * group.covariance.trace().sqrt());
                 m.is_found() && (m.filter.position - group.point).norm() < least
             };
-            if self.markers.iter().any(near) || group.confidence < 0.5 {
+            if self.crowd.markers.iter().any(near) || group.confidence < 0.5 {
                 continue;
             }
-            let slot = self.slots.iter().position(|used| !used).unwrap_or(self.slots.len());
-            if slot == self.slots.len() {
-                self.slots.push(true);
-            }
-            self.slots[slot] = true;
-            self.body.clear(slot);
             let confirmed = first && group.dots.len() >= 3 && group.confidence > 0.9;
-            let born = Marker::born(self.next_track, slot, &self.scene, frame, &group, self.time_s(), confirmed);
-            self.next_track += 1;
-            self.markers.push(born);
+            let found = Located::at(&self.scene, frame, dots_of(group), group.point);
+            self.crowd.give_birth(found, group.confidence, confirmed);
         }
     }
+}
 
-    fn samples(&self, frame: &Frame) -> Vec<Sample> {
-        let visible = |p: &Vector3<f64>| self.scene.model.region.contains(p);
-        let given = |m: &Marker| {
-            let sample = m.sample(frame);
-            let vague = sample.covariance.trace().sqrt() > self.options.largest_sigma_m;
-            (sample.kind == Kind::Measured || (m.confirmed && !vague && visible(&sample.point))).then_some(sample)
-        };
-        self.markers.iter().filter_map(given).collect()
-    }
-
-    fn learn(&mut self) {
-        let seen: Vec<Seen> = self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
-        self.body.learn(&seen, self.clock.time_s);
-    }
-
-    /// Tentative markers that are not seen again go soon, others after a while.
-    fn forget(&mut self) {
-        let time_s = self.time_s();
-        let memory_s = self.options.memory_s;
-        for marker in &mut self.markers {
-            if marker.is_gone(time_s, memory_s) {
-                self.slots[marker.slot] = false;
-            }
-        }
-        let slots = &self.slots;
-        self.markers.retain(|m| slots[m.slot]);
-    }
+fn dots_of(group: &Group) -> Vec<u32> {
+    let mut dots: Vec<u32> = group.dots.iter().map(|&d| d as u32).collect();
+    dots.sort_unstable();
+    dots
 }
 
 /// Indices of the dots by camera and place.
@@ -502,11 +408,4 @@ fn is_half(frame: &Frame, dot: usize) -> bool {
         .iter()
         .take_while(|&&d| frame.pixel(d).x <= at.x + reach)
         .any(|&d| !frame.free[d as usize] && (frame.pixel(d) - at).norm() < reach)
-}
-
-/// Mean velocity of a marker's best neighbours: how its part of the body moves.
-fn mean_velocity(body: &Body, slot: usize, velocities: &[Option<Vector3<f64>>]) -> Option<Vector3<f64>> {
-    let best = body.links.best(slot, velocities, 3);
-    let known: Vec<Vector3<f64>> = best.iter().filter_map(|&n| velocities[n]).collect();
-    (!known.is_empty()).then(|| known.iter().sum::<Vector3<f64>>() / known.len() as f64)
 }

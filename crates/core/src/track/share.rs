@@ -77,19 +77,19 @@ impl Tracker {
         if shared.is_empty() {
             return;
         }
-        let mut dots: Vec<Option<Vec<u32>>> = vec![None; self.markers.len()];
+        let mut dots: Vec<Option<Vec<u32>>> = vec![None; self.crowd.markers.len()];
         for s in &shared {
             let lent = frame.share(s.dot, s.noise_px);
-            let own = |index: usize| self.markers[index].located.iter().flat_map(|l| l.dots.clone()).collect();
+            let own = |index: usize| self.crowd.markers[index].located.iter().flat_map(|l| l.dots.clone()).collect();
             dots[s.owner].get_or_insert_with(|| own(s.owner));
-            if !self.markers[s.other].is_found() {
+            if !self.crowd.markers[s.other].is_found() {
                 dots[s.other].get_or_insert_with(|| own(s.other)).push(lent);
             }
         }
-        for (marker, dots) in self.markers.iter_mut().zip(dots) {
+        for (marker, dots) in self.crowd.markers.iter_mut().zip(dots) {
             let Some(dots) = dots else { continue };
             let located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
-            if let Some(better) = located.filter(|l| l.dots.len() >= 2) {
+            if let Some(better) = located.filter(|l| l.rays >= 2) {
                 marker.located = Some(better);
             }
         }
@@ -97,15 +97,14 @@ impl Tracker {
 
     /// Dots that are one for two rigid neighbours.
     fn shared_dots(&self, frame: &Frame) -> Vec<Shared> {
-        let mut at: Vec<Option<usize>> = vec![None; self.slots.len()];
-        self.markers.iter().enumerate().filter(|(_, m)| m.confirmed).for_each(|(i, m)| at[m.slot] = Some(i));
+        let at = self.crowd.by_slot();
         let mut found = Vec::new();
-        for (owner, one) in self.markers.iter().enumerate().filter(|(_, m)| m.confirmed) {
+        for (owner, one) in self.crowd.markers.iter().enumerate().filter(|(_, m)| m.confirmed) {
             let Some(located) = &one.located else { continue };
-            for link in self.body.links.of(one.slot) {
+            for link in self.crowd.body.links.of(one.slot) {
                 let Some(other) = at[link.other].filter(|_| link.is_rigid()) else { continue };
                 for &dot in &located.dots {
-                    let noise_px = self.merged(frame, dot, link.mean_m, &self.markers[other]);
+                    let noise_px = self.merged(frame, dot, link.mean_m, &self.crowd.markers[other]);
                     found.extend(noise_px.map(|noise_px| Shared { dot, owner, other, noise_px }));
                 }
             }
@@ -124,7 +123,8 @@ impl Tracker {
             return None;
         }
         let (pixel, by_point) = self.scene.rig.cameras[sight.camera].project_linear(&place)?;
-        let spread = if other.is_found() { 0.0 } else { (by_point * other.prior.covariance * by_point.transpose()).trace() };
+        let spread =
+            if other.is_found() { 0.0 } else { (by_point * other.prior.covariance * by_point.transpose()).trace() };
         let offset: Vector2<f64> = frame.pixel(dot) - pixel;
         let near = offset.norm() < self.merging.distance_px + GATE_SIGMAS * spread.sqrt().hypot(sight.sigma_px);
         near.then_some(0.5 * self.merging.distance_px.min(distance_m * px_per_m))

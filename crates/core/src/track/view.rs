@@ -28,6 +28,19 @@ impl Prior {
     pub fn wide(&self) -> Matrix3<f64> {
         self.covariance + Matrix3::identity() * self.push
     }
+
+    /// Logarithm of the likelihood (m⁻³) of a position measured with a noise (m²) at an offset: the larger component of
+    /// calm and pushed; `None` outside the gate (squared innovation) or where a covariance is singular.
+    pub fn ln_likelihood(&self, noise: &Matrix3<f64>, offset: &Vector3<f64>, gate: f64) -> Option<f64> {
+        let ln = |weight: f64, spread: Matrix3<f64>| {
+            let squared = offset.dot(&(spread.try_inverse()? * offset));
+            let density = -0.5 * (squared + spread.determinant().ln()) - 1.5 * std::f64::consts::TAU.ln();
+            Some((squared, weight + density))
+        };
+        let (squared, pushed) = ln(LN_PUSHED, self.wide() + noise)?;
+        let (_, calm) = ln(LN_NOT_PUSHED, self.covariance + noise)?;
+        (squared < gate).then_some(calm.max(pushed))
+    }
 }
 
 /// How often a marker is pushed.

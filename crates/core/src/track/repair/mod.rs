@@ -11,7 +11,7 @@ pub mod join;
 pub mod joints;
 pub mod tracklets;
 
-use super::{TrackOptions, Tracked};
+use super::{Sample, TrackOptions, Tracked};
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
 use carry::carry;
@@ -27,26 +27,34 @@ pub fn repair(
     dots: &[Vec<Dot>],
     times_s: &[f64],
 ) -> Vec<Tracked> {
+    let mut repaired = identify(frames, times_s);
+    extend(scene, dots, times_s, &mut repaired);
+    carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+    repaired
+}
+
+/// Repairs a recorded take of points: there are no dots to prolong a trajectory on.
+pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
+    let mut repaired = identify(frames, times_s);
+    carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+    repaired
+}
+
+/// Measured samples under the identities that the whole take gives them.
+fn identify(frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
     let (tracklets, owner) = cut(frames, times_s);
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
-        let mut samples: Vec<_> = frame
-            .samples
-            .iter()
-            .zip(owner)
-            .filter_map(|(sample, tracklet)| {
-                let track = identity[(*tracklet)?]?;
-                Some(super::Sample { track, confirmed: true, ..sample.clone() })
-            })
-            .collect();
+        let named = |(sample, tracklet): (&Sample, &Option<usize>)| {
+            let track = identity[(*tracklet)?]?;
+            Some(Sample { track, confirmed: true, ..sample.clone() })
+        };
+        let mut samples: Vec<Sample> = frame.samples.iter().zip(owner).filter_map(named).collect();
         samples.sort_by_key(|s| s.track);
         Tracked { samples, ..*frame }
     };
-    let mut repaired: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
-    extend(scene, dots, times_s, &mut repaired);
-    carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
-    repaired
+    frames.iter().zip(&owner).map(renamed).collect()
 }
 
 /// Identity of each tracklet: the first of its chain's; `None` for what is no marker.

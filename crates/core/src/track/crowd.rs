@@ -1,0 +1,142 @@
+//! All markers that are being followed, and what their motion and the dynamic model say about them, however they are
+//! measured: by dots (`mod.rs`) or by points of another system (`points.rs`).
+
+use super::body::{Body, Seen};
+use super::clock::{Clock, Moment, TimeError};
+use super::filter::Step;
+use super::locate::Located;
+use super::marker::Marker;
+use super::rematch::rematch;
+use super::{Kind, Sample, TrackOptions};
+use crate::correspond::Group;
+use nalgebra::Vector3;
+
+/// Markers that steer a lost one.
+const STEERING: usize = 3;
+
+/// The markers.
+pub struct Crowd {
+    pub options: TrackOptions,
+    pub clock: Clock,
+    pub markers: Vec<Marker>,
+    pub body: Body,
+    slots: Vec<bool>,
+    next_track: u32,
+}
+
+impl Crowd {
+    /// Nobody yet.
+    pub fn new(rate_hz: f64, options: TrackOptions) -> Result<Self, TimeError> {
+        let clock = Clock::new(rate_hz)?;
+        Ok(Self { options, clock, markers: Vec::new(), body: Body::default(), slots: Vec::new(), next_track: 0 })
+    }
+
+    /// Whether no marker was ever born.
+    pub fn is_new(&self) -> bool {
+        self.next_track == 0
+    }
+
+    /// Moves to the next frame: predictions of all markers; of hidden ones also by their neighbours' predicted places.
+    pub fn advance(&mut self, moment: Moment) -> Result<Step, TimeError> {
+        let step = self.clock.advance(moment)?;
+        for marker in &mut self.markers {
+            marker.predict(&step);
+        }
+        let now = self.places(|m| (m.is_live()).then_some(m.filter.position));
+        self.carry(&now);
+        Ok(step)
+    }
+
+    /// Places of confirmed markers by slot.
+    fn places(&self, place: impl Fn(&Marker) -> Option<Vector3<f64>>) -> Vec<Option<Vector3<f64>>> {
+        let mut now = vec![None; self.slots.len()];
+        self.markers.iter().filter(|m| m.confirmed).for_each(|m| now[m.slot] = place(m));
+        now
+    }
+
+    /// Index of each slot's marker, where it is confirmed.
+    pub fn by_slot(&self) -> Vec<Option<usize>> {
+        let mut at = vec![None; self.slots.len()];
+        self.markers.iter().enumerate().filter(|(_, m)| m.confirmed).for_each(|(i, m)| at[m.slot] = Some(i));
+        at
+    }
+
+    /// Improves the predictions of markers that are not found by the places of those that are.
+    pub fn carry_lost(&mut self) {
+        let now = self.places(Marker::found_at);
+        self.carry(&now);
+    }
+
+    fn carry(&mut self, now: &[Option<Vector3<f64>>]) {
+        let time_s = self.clock.time_s;
+        for marker in &mut self.markers {
+            if !marker.is_found() && marker.confirmed && now[marker.slot].is_none() {
+                let carried = self.body.carry(marker.slot, &marker.own_prediction(), now, time_s);
+                marker.carry(&carried);
+            }
+        }
+    }
+
+    /// For each new point, the index of the lost marker that it is.
+    pub fn owners(&self, groups: &[Group]) -> Vec<Option<usize>> {
+        let now = self.places(Marker::found_at);
+        let lost: Vec<usize> =
+            (0..self.markers.len()).filter(|&i| self.markers[i].confirmed && !self.markers[i].is_found()).collect();
+        let given = rematch(&self.markers, &lost, groups, &self.body.links, &now);
+        given.into_iter().map(|owner| owner.map(|l| lost[l])).collect()
+    }
+
+    /// Filters take in the measurements; markers count their hits and misses.
+    pub fn settle(&mut self, step: &Step) {
+        let time_s = self.clock.time_s;
+        let velocities = self.places(|m| m.is_live().then_some(m.filter.velocity));
+        for marker in &mut self.markers {
+            let drift = mean_velocity(&self.body, marker.slot, &velocities);
+            marker.settle(step, time_s, drift);
+        }
+    }
+
+    /// A new marker.
+    pub fn give_birth(&mut self, found: Located, confidence: f64, confirmed: bool) {
+        let slot = self.slots.iter().position(|used| !used).unwrap_or(self.slots.len());
+        if slot == self.slots.len() {
+            self.slots.push(true);
+        }
+        self.slots[slot] = true;
+        self.body.clear(slot);
+        self.markers.push(Marker::born(self.next_track, slot, found, confidence, self.clock.time_s, confirmed));
+        self.next_track += 1;
+    }
+
+    /// What is given out: measured markers, and carried ones that are known well enough and may be `visible` there.
+    pub fn samples(&self, visible: impl Fn(&Vector3<f64>) -> bool) -> Vec<Sample> {
+        let given = |m: &Marker| {
+            let sample = m.sample();
+            let vague = sample.covariance.trace().sqrt() > self.options.largest_sigma_m;
+            (sample.kind == Kind::Measured || (m.confirmed && !vague && visible(&sample.point))).then_some(sample)
+        };
+        self.markers.iter().filter_map(given).collect()
+    }
+
+    /// The dynamic model learns; tentative markers that are not seen again go soon, others after a while.
+    pub fn learn_and_forget(&mut self) {
+        let time_s = self.clock.time_s;
+        let seen: Vec<Seen> =
+            self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
+        self.body.learn(&seen, time_s);
+        for marker in &self.markers {
+            if marker.is_gone(time_s, self.options.memory_s) {
+                self.slots[marker.slot] = false;
+            }
+        }
+        let slots = &self.slots;
+        self.markers.retain(|m| slots[m.slot]);
+    }
+}
+
+/// Mean velocity of a marker's best neighbours: how its part of the body moves.
+fn mean_velocity(body: &Body, slot: usize, velocities: &[Option<Vector3<f64>>]) -> Option<Vector3<f64>> {
+    let best = body.links.best(slot, velocities, STEERING);
+    let known: Vec<Vector3<f64>> = best.iter().filter_map(|&n| velocities[n]).collect();
+    (!known.is_empty()).then(|| known.iter().sum::<Vector3<f64>>() / known.len() as f64)
+}

@@ -1,0 +1,136 @@
+"""Anonymous or broken 3D points of any system to trajectories."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from markerloom import _core
+from markerloom.errors import InputError
+from markerloom.points import KINDS, MEASURED, Points
+from markerloom.reconstruct import Reconstruction
+
+FIRST_SIGMA_MM = 1.0  # per axis, until the take has told its own
+SIGMA_RANGE_MM = (0.02, 10.0)
+
+
+def track_points(
+    points: Points,
+    *,
+    rate_hz: float | None = None,
+    causal: bool = False,
+    frames: tuple[int | None, int | None] | None = None,
+) -> Reconstruction:
+    """Follow every marker of a take of points through time; their names and trajectories are not looked at.
+
+    Only measured rows count; positions that were predicted, filled or edited are found anew. Where the take does not
+    state the uncertainty of its points, it is estimated from how unevenly they move. ``causal`` and ``frames`` as in
+    ``track``. Raises ``InputError`` where there is no measured point or no frame rate.
+    """
+    clock = time.perf_counter()
+    if frames is not None:
+        points = points.select(*frames)
+    rate = points.rate_hz if rate_hz is None else rate_hz
+    if rate is None or not 0 < rate < 1e6:
+        raise InputError(f"tracking needs the frame rate: state it with --rate-hz ({points.source})")
+    usable = (points.kind == MEASURED) & np.isfinite(points.xyz_mm).all(axis=1)
+    dropped = int(np.sum((points.kind == MEASURED) & ~usable))
+    notes = [f"{dropped} points without finite coordinates were left out"] if dropped else []
+    take = points.keep(usable)
+    if len(take) == 0:
+        raise InputError(f"there are no measured points to track ({points.source})")
+    order = np.lexsort((take.xyz_mm[:, 2], take.xyz_mm[:, 1], take.xyz_mm[:, 0], take.frame))
+    sigma_mm = take.sigma_mm[order] / np.sqrt(3.0)
+    stated = np.isfinite(sigma_mm) & (sigma_mm > 0)
+    noise_mm = FIRST_SIGMA_MM
+    if not stated.all() and not causal:
+        first = _solve(take, order, np.where(stated, sigma_mm, noise_mm), rate, causal=True)
+        seen = np.diff(first["dot_starts"]) == 1
+        noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], take.xyz_mm[order][first["dots"]])
+    solved = _solve(take, order, np.where(stated, sigma_mm, noise_mm), rate, causal)
+    tracked = _as_points(solved, take, order, rate)
+    report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal)
+    report["timing"] = {"seconds": time.perf_counter() - clock}
+    return replace(tracked, report=report)
+
+
+def _solve(
+    take: Points, order: NDArray[np.int64], sigma_mm: NDArray[np.floating[Any]], rate_hz: float, causal: bool
+) -> dict[str, Any]:
+    starts = np.searchsorted(take.frame[order], np.append(take.frames, take.frames[-1] + 1))
+    return _core.track_points(
+        starts.tolist(),
+        np.ascontiguousarray(take.xyz_mm[order] / 1000.0),
+        np.ascontiguousarray(sigma_mm / 1000.0),
+        take.frames.tolist(),
+        rate_hz,
+        causal,
+    )
+
+
+def estimated_noise_mm(
+    track: NDArray[np.int64], frame: NDArray[np.int64], xyz_mm: NDArray[np.floating[Any]]
+) -> float:
+    """Noise per axis (mm) from third differences along trajectories: white noise has 20 times its variance there.
+
+    Motion adds to them; the lower quartile over trajectories and axes is where it adds least.
+    """
+    found = []
+    for one in np.unique(track):
+        rows = np.flatnonzero(track == one)
+        steady = np.diff(frame[rows]) == 1
+        run = steady[:-2] & steady[1:-1] & steady[2:]
+        third = np.diff(xyz_mm[rows], n=3, axis=0)[run]
+        if len(third) >= 20:
+            found.append(np.median(np.abs(third), axis=0) / (0.6745 * np.sqrt(20.0)))
+    if not found:
+        return FIRST_SIGMA_MM
+    return float(np.clip(np.percentile(np.concatenate(found), 25), *SIGMA_RANGE_MM))
+
+
+def _as_points(
+    solved: dict[str, Any], take: Points, order: NDArray[np.int64], rate_hz: float
+) -> Reconstruction:
+    """The engine's rows; measured ones keep what their input row says about rays and residuals."""
+    n = len(solved["frame"])
+    sizes = np.diff(solved["dot_starts"])
+    source = np.full(n, -1, np.int64)
+    source[sizes == 1] = order[solved["dots"]]
+    measured = source >= 0
+    row = np.where(measured, source, 0)
+    variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
+    return Reconstruction(
+        frame=take.frames[solved["frame"]].astype(np.int64),
+        track=solved["track"].astype(np.int64),
+        label=np.full(n, "", dtype="<U1"),
+        xyz_mm=np.where(measured[:, None], take.xyz_mm[row], 1000.0 * solved["point_m"]),
+        sigma_mm=1000.0 * np.sqrt(variance),
+        rays=np.where(measured, take.rays[row], 0),
+        residual_px=np.where(measured, take.residual_px[row], np.nan),
+        confidence=solved["confidence"],
+        kind=solved["kind"],
+        residual_mm=np.where(measured, take.residual_mm[row], np.nan),
+        camera_mask=np.where(measured, take.camera_mask[row], 0),
+        rate_hz=rate_hz,
+        frames=take.frames,
+        up_axis=take.up_axis,
+        source=take.source,
+    )
+
+
+def _report(tracked: Points, noise_mm: float, notes: list[str], causal: bool) -> dict[str, Any]:
+    frames = max(len(tracked.frames), 1)
+    measured = tracked.kind == KINDS.index("measured")
+    return {
+        "frames": len(tracked.frames),
+        "warnings": notes,
+        "causal": causal,
+        "points_per_frame": float(measured.sum() / frames),
+        "predicted_per_frame": float((~measured).sum() / frames),
+        "noise_mm": noise_mm,
+        "trajectories": len(np.unique(tracked.track[measured])),
+    }
