@@ -48,7 +48,7 @@ impl Crowd {
     }
 
     /// Places of confirmed markers by slot.
-    fn places(&self, place: impl Fn(&Marker) -> Option<Vector3<f64>>) -> Vec<Option<Vector3<f64>>> {
+    pub fn places(&self, place: impl Fn(&Marker) -> Option<Vector3<f64>>) -> Vec<Option<Vector3<f64>>> {
         let mut now = vec![None; self.slots.len()];
         self.markers.iter().filter(|m| m.confirmed).for_each(|m| now[m.slot] = place(m));
         now

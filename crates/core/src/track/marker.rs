@@ -54,6 +54,8 @@ pub struct Marker {
     /// Time of the last frame in which it was measured (s), and whether that was the last frame.
     seen_s: f64,
     live: bool,
+    /// Whether it has just been exchanged with another.
+    exchanged: bool,
     hits: u32,
     wide_hits: u32,
     misses: u32,
@@ -71,10 +73,11 @@ impl Marker {
             slot,
             filter: Filter::new(found.point, &covariance, FIRST_ACCELERATION),
             confirmed,
-            prior: Prior { point: found.point, covariance, push: 0.0 },
+            prior: Prior { point: found.point, covariance, push: 0.0, hidden: false },
             acceleration: FIRST_ACCELERATION,
             seen_s: time_s,
             live: true,
+            exchanged: false,
             hits: 1,
             wide_hits: u32::from(found.rays >= 3),
             misses: 0,
@@ -112,8 +115,14 @@ impl Marker {
             point: self.filter.position,
             covariance: *self.filter.covariance(),
             push: push * push * step.jump_variance(),
+            hidden: !self.live,
         };
         self.located = None;
+    }
+
+    /// Where it was after the last frame, until this one is settled.
+    pub fn last_point(&self) -> Vector3<f64> {
+        self.state.0
     }
 
     /// Where its own motion alone takes it.
@@ -123,7 +132,12 @@ impl Marker {
 
     /// A better prediction of a hidden marker, with its neighbours.
     pub fn carry(&mut self, carried: &Carried) {
-        self.prior = Prior { point: carried.point, covariance: carried.covariance, push: carried.covariance.trace() };
+        self.prior = Prior {
+            point: carried.point,
+            covariance: carried.covariance,
+            push: carried.covariance.trace(),
+            hidden: true,
+        };
     }
 
     /// What is known after this frame's first look, as a prediction for a second.
@@ -131,7 +145,7 @@ impl Marker {
         let Some(located) = &self.located else { return self.prior };
         let information = self.prior.wide().try_inverse().map(|i| i + located.information);
         let covariance = information.and_then(Matrix3::try_inverse).unwrap_or(self.prior.covariance);
-        Prior { point: located.point, covariance, push: 0.0 }
+        Prior { point: located.point, covariance, push: 0.0, hidden: false }
     }
 
     /// Whether one of its dots is of a camera.
@@ -167,6 +181,14 @@ impl Marker {
         self.located = Some(found);
     }
 
+    /// Takes what another marker was taken for: its own motion was wrong and starts anew.
+    pub fn take_over(&mut self, found: Option<Located>) {
+        if let Some(found) = found {
+            self.refind(found);
+            self.exchanged = true;
+        }
+    }
+
     /// Measurement update; `drift` is how the marker's neighbours move.
     pub fn settle(&mut self, step: &Step, time_s: f64, drift: Option<Vector3<f64>>) {
         let Some(located) = &self.located else {
@@ -184,8 +206,11 @@ impl Marker {
             return;
         }
         let rays = located.rays;
+        let pull_on_filter = located.pull_from(&self.filter.position);
         let hidden_s = time_s - self.seen_s;
-        if !self.live && hidden_s > STALE_S {
+        let squared = squared_innovation(self.filter.covariance(), &information, &pull_on_filter);
+        let astray = !self.live && (hidden_s > STALE_S || squared > PUSHED);
+        if astray || std::mem::take(&mut self.exchanged) {
             self.restart(&information, &pull, drift);
         } else {
             self.settle_live(step, &information);

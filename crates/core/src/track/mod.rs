@@ -16,6 +16,7 @@ mod adapt;
 pub mod body;
 mod clock;
 mod crowd;
+mod exchange;
 pub mod filter;
 mod frame;
 mod locate;
@@ -233,6 +234,7 @@ impl Tracker {
             let usual = self.usual_dots.unwrap_or(dots.len() as f64);
             self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
         }
+        self.crowd.exchange();
         self.crowd.settle(&step);
         self.give_birth(&frame, &groups);
         let samples = self.crowd.samples(|p| self.scene.model.region.contains(p));

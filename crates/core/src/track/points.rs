@@ -56,11 +56,12 @@ impl PointTracker {
     pub fn push(&mut self, points: &[MeasuredPoint], moment: Moment) -> Result<Tracked, TimeError> {
         let step = self.crowd.advance(moment)?;
         let mut free = vec![true; points.len()];
-        self.assign(points, &mut free, |m| m.confirmed);
+        self.assign(points, &mut free, |m| m.confirmed && m.is_live());
         self.crowd.carry_lost();
         self.assign(points, &mut free, |m| m.confirmed && !m.is_found());
         self.assign(points, &mut free, |m| !m.confirmed);
         self.rematch(points, &mut free);
+        self.crowd.exchange();
         self.crowd.settle(&step);
         for (index, point) in points.iter().enumerate().filter(|(i, _)| free[*i]) {
             if let Some(found) = Located::measured(index as u32, point.point, &point.covariance()) {
@@ -91,7 +92,8 @@ impl PointTracker {
         if off.norm_squared() > self.gate * (prior.wide() + noise).trace() {
             return None;
         }
-        let gain = prior.ln_likelihood(&noise, &off, self.gate)? + LN_MEASURED - UNKNOWN_PER_M3.ln();
+        let gain =
+            prior.ln_likelihood(&noise, &off, self.gate)? + prior.ln_rarity() + LN_MEASURED - UNKNOWN_PER_M3.ln();
         (gain > 0.0).then_some(gain)
     }
 

@@ -40,10 +40,16 @@ fn place_cost(marker: &Marker, group: &Group) -> Option<f64> {
     let away = (group.point - marker.prior.point).norm();
     let spread = (marker.prior.covariance + group.covariance).trace().sqrt();
     let reach = (4.0 * spread + MARGIN).min(FARTHEST).max(2.0 * spread);
-    (away < reach).then(|| 2.0 * (away * away / (4.0 * spread * spread)).ln_1p())
+    (away < reach).then(|| surprise(away, spread))
 }
 
-fn link_cost(marker: &Marker, point: &Vector3<f64>, links: &Links, now: &[Option<Vector3<f64>>]) -> f64 {
+/// Heavy-tailed cost of being this far from where a marker is expected (nats).
+pub fn surprise(away: f64, spread: f64) -> f64 {
+    2.0 * (away * away / (4.0 * spread * spread)).ln_1p()
+}
+
+/// How badly a point fits a marker's rigid links (nats).
+pub fn link_cost(marker: &Marker, point: &Vector3<f64>, links: &Links, now: &[Option<Vector3<f64>>]) -> f64 {
     let mut cost = 0.0;
     for link in links.of(marker.slot).iter().take(LINKS) {
         if let Some(other) = now.get(link.other).copied().flatten().filter(|_| link.is_rigid()) {

@@ -21,12 +21,19 @@ pub struct Prior {
     pub covariance: Matrix3<f64>,
     /// Variance that a sudden push adds on each axis (m²).
     pub push: f64,
+    /// Whether the marker was hidden in the frame before: then it is likely to be hidden still.
+    pub hidden: bool,
 }
 
 impl Prior {
     /// The covariance when there was a push.
     pub fn wide(&self) -> Matrix3<f64> {
         self.covariance + Matrix3::identity() * self.push
+    }
+
+    /// What it costs to believe that it is seen (nats), beyond what it costs of a marker that was seen just now.
+    pub fn ln_rarity(&self) -> f64 {
+        if self.hidden { LN_REAPPEARS } else { 0.0 }
     }
 
     /// Logarithm of the likelihood (m⁻³) of a position measured with a noise (m²) at an offset: the larger component of
@@ -46,6 +53,8 @@ impl Prior {
 /// How often a marker is pushed.
 const LN_PUSHED: f64 = -4.0;
 const LN_NOT_PUSHED: f64 = -0.018_5;
+/// How rarely a hidden marker comes back in a given frame.
+const LN_REAPPEARS: f64 = -4.0;
 /// Squared innovation (standard deviations) beyond which a dot is not looked at: χ², 2 degrees, 1e-4.
 const GATE: f64 = 18.4;
 /// New or unexplained markers per image, for the density of dots that belong to nothing known.

@@ -124,7 +124,9 @@ fn search(
     let jump = PUSH * PUSH * step.jump_variance();
     let priors: Vec<Option<Prior>> = runners
         .values()
-        .map(|r| Some(Prior { point: r.filter.position, covariance: *r.filter.covariance(), push: jump }))
+        .map(|r| {
+            Some(Prior { point: r.filter.position, covariance: *r.filter.covariance(), push: jump, hidden: false })
+        })
         .collect();
     let mut found = vec![Vec::new(); priors.len()];
     for camera in 0..scene.rig.cameras.len() {
