@@ -8,14 +8,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.points import KINDS, MEASURED, Points
 from markerloom.reconstruct import Reconstruction
 
-FIRST_SIGMA_MM = 1.0  # per axis, until the take has told its own
-SIGMA_RANGE_MM = (0.02, 10.0)
+Array = NDArray[np.floating[Any]]
+
+JUMPS = 0.012
+"""Points of other systems are smooth and jump now and then, by the exchange of a camera or a merged image: a tracker
+must reckon with this much, as a part of the distance of neighbouring markers."""
+LARGEST_JUMP_MM = 2.0
 
 
 def track_points(
@@ -46,13 +51,17 @@ def track_points(
     order = np.lexsort((take.xyz_mm[:, 2], take.xyz_mm[:, 1], take.xyz_mm[:, 0], take.frame))
     sigma_mm = take.sigma_mm[order] / np.sqrt(3.0)
     stated = np.isfinite(sigma_mm) & (sigma_mm > 0)
-    noise_mm = FIRST_SIGMA_MM
-    if not stated.all() and not causal:
-        first = _solve(take, order, np.where(stated, sigma_mm, noise_mm), rate, causal=True)
+    jumps_mm = _jumps_mm(take)
+    noise_mm = jumps_mm
+    followed = np.where(stated, np.maximum(sigma_mm, jumps_mm), jumps_mm)
+    if not causal and not stated.all():
+        first = _solve(take, order, followed, rate, causal=True)
         seen = np.diff(first["dot_starts"]) == 1
-        noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], take.xyz_mm[order][first["dots"]])
-    solved = _solve(take, order, np.where(stated, sigma_mm, noise_mm), rate, causal)
-    tracked = _as_points(solved, take, order, rate)
+        xyz_mm = take.xyz_mm[order][first["dots"]]
+        noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], xyz_mm, jumps_mm)
+        followed = np.maximum(followed, np.where(stated, 0.0, noise_mm))
+    solved = _solve(take, order, followed, rate, causal)
+    tracked = _as_points(solved, take, order, rate, np.where(stated, sigma_mm, noise_mm))
     report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal)
     report["timing"] = {"seconds": time.perf_counter() - clock}
     return replace(tracked, report=report)
@@ -72,12 +81,25 @@ def _solve(
     )
 
 
+def _jumps_mm(take: Points) -> float:
+    """How far a point may be off (mm per axis): by the median distance of the nearest neighbour in up to 50 frames."""
+    nearest = []
+    for frame in np.unique(take.frame)[:: max(1, len(take.frames) // 50)]:
+        xyz_mm = take.xyz_mm[take.frame == frame]
+        if len(xyz_mm) > 1:
+            distance = cdist(xyz_mm, xyz_mm)
+            np.fill_diagonal(distance, np.inf)
+            nearest.append(distance.min(axis=1))
+    return min(LARGEST_JUMP_MM, JUMPS * float(np.median(np.concatenate(nearest)))) if nearest else LARGEST_JUMP_MM
+
+
 def estimated_noise_mm(
-    track: NDArray[np.int64], frame: NDArray[np.int64], xyz_mm: NDArray[np.floating[Any]]
+    track: NDArray[np.int64], frame: NDArray[np.int64], xyz_mm: NDArray[np.floating[Any]], unknown_mm: float
 ) -> float:
     """Noise per axis (mm) from third differences along trajectories: white noise has 20 times its variance there.
 
-    Motion adds to them; the lower quartile over trajectories and axes is where it adds least.
+    The median over trajectories and axes; motion adds to it, so the estimate is rather too large than too small.
+    ``unknown_mm`` where the trajectories are too short to tell.
     """
     found = []
     for one in np.unique(track):
@@ -87,13 +109,11 @@ def estimated_noise_mm(
         third = np.diff(xyz_mm[rows], n=3, axis=0)[run]
         if len(third) >= 20:
             found.append(np.median(np.abs(third), axis=0) / (0.6745 * np.sqrt(20.0)))
-    if not found:
-        return FIRST_SIGMA_MM
-    return float(np.clip(np.percentile(np.concatenate(found), 25), *SIGMA_RANGE_MM))
+    return float(np.median(np.concatenate(found))) if found else unknown_mm
 
 
 def _as_points(
-    solved: dict[str, Any], take: Points, order: NDArray[np.int64], rate_hz: float
+    solved: dict[str, Any], take: Points, order: NDArray[np.int64], rate_hz: float, sigma_mm: Array
 ) -> Reconstruction:
     """The engine's rows; measured ones keep what their input row says about rays and residuals."""
     n = len(solved["frame"])
@@ -102,13 +122,15 @@ def _as_points(
     source[sizes == 1] = order[solved["dots"]]
     measured = source >= 0
     row = np.where(measured, source, 0)
+    own_sigma_mm = np.zeros(len(take))
+    own_sigma_mm[order] = np.sqrt(3.0) * sigma_mm
     variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
     return Reconstruction(
         frame=take.frames[solved["frame"]].astype(np.int64),
         track=solved["track"].astype(np.int64),
         label=np.full(n, "", dtype="<U1"),
         xyz_mm=np.where(measured[:, None], take.xyz_mm[row], 1000.0 * solved["point_m"]),
-        sigma_mm=1000.0 * np.sqrt(variance),
+        sigma_mm=np.where(measured, own_sigma_mm[row], 1000.0 * np.sqrt(variance)),
         rays=np.where(measured, take.rays[row], 0),
         residual_px=np.where(measured, take.residual_px[row], np.nan),
         confidence=solved["confidence"],
