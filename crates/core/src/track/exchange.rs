@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 /// Markers farther apart than this are not taken for each other (m).
 const NEAR: f64 = 0.06;
 /// Evidence needed to exchange (nats).
-const ENOUGH: f64 = 6.0;
+const ENOUGH: f64 = 4.0;
 
 /// Deviation from the neighbours' motion that is nothing special, as a part of the two markers' distance.
 const USUAL_DEVIATION: f64 = 0.1;
