@@ -17,6 +17,7 @@ from markerloom.evaluate import (
 )
 from markerloom.formats import read_observations, read_points, write_points
 from markerloom.formats.calib_toml import write as write_calibration
+from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
 from markerloom.observations import Observations
 from markerloom.points import Points
@@ -47,6 +48,7 @@ __all__ = [
     "evaluate",
     "inspect",
     "make_scene",
+    "place_on_spheres",
     "read_calibration",
     "read_observations",
     "read_points",
