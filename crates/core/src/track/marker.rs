@@ -305,8 +305,10 @@ impl Marker {
     }
 }
 
-/// Innovation squared in its own covariance: pullᵀ (M P M + M)⁻¹ pull.
+/// Innovation squared in its own covariance: pullᵀ (M P M + M)⁻¹ pull. Rays that hardly cross leave M almost singular; then
+/// the direction about which they say nothing must not count.
 fn squared_innovation(covariance: &Matrix3<f64>, information: &Matrix3<f64>, pull: &Vector3<f64>) -> f64 {
-    let spread = information * covariance * information + information;
-    spread.try_inverse().map_or(0.0, |inverse| pull.dot(&(inverse * pull)))
+    let least = Matrix3::identity() * (1e-9 * information.trace());
+    let spread = information * covariance * information + information + least;
+    spread.cholesky().map_or(0.0, |c| pull.dot(&c.solve(pull)))
 }

@@ -24,6 +24,8 @@ const HISTORY_HZ: f64 = 10.0;
 /// How far back the history reaches (snapshots).
 const HISTORY: usize = 200;
 
+/// A body comes into poses beyond those that are known: in this time a hidden marker's variance doubles (s).
+const EXPLORES_S: f64 = 1.7;
 /// Frames from which a hidden marker's last motion is known.
 const LAST_FRAMES: usize = 4;
 
@@ -155,6 +157,8 @@ impl Body {
         let framed = self.fits[slot].as_mut().and_then(|f| f.predict(now, time_s));
         let fused = framed.and_then(|c| fuse((&own.point, &own.covariance), (&c.point, &c.covariance)));
         let start = fused.map_or(*own, |(point, covariance)| Carried { point, covariance });
-        self.links.pull(slot, &start, now).unwrap_or(start)
+        let pulled = self.links.pull(slot, &start, now).unwrap_or(start);
+        let hidden_s = self.lost[slot].as_ref().and_then(|l| l.first()).map_or(0.0, |(at, _)| time_s - at);
+        Carried { covariance: pulled.covariance * (1.0 + hidden_s.max(0.0) / EXPLORES_S), ..pulled }
     }
 }
