@@ -42,7 +42,7 @@ impl Crowd {
         for marker in &mut self.markers {
             marker.predict(&step);
         }
-        let now = self.places(|m| (m.is_live()).then_some(m.filter.position));
+        let now = self.places(|m| m.is_live().then_some(m.filter.position));
         self.carry(&now);
         Ok(step)
     }
@@ -71,7 +71,8 @@ impl Crowd {
         let time_s = self.clock.time_s;
         for marker in &mut self.markers {
             if !marker.is_found() && marker.confirmed && now[marker.slot].is_none() {
-                let carried = self.body.carry(marker.slot, &marker.own_prediction(), now, time_s);
+                let own = marker.own_prediction();
+                let carried = self.body.carry(marker.slot, &own, now, time_s, !marker.is_live());
                 marker.carry(&carried);
             }
         }
@@ -91,8 +92,8 @@ impl Crowd {
         let time_s = self.clock.time_s;
         let velocities = self.places(|m| m.is_live().then_some(m.filter.velocity));
         for marker in &mut self.markers {
-            let drift = mean_velocity(&self.body, marker.slot, &velocities);
-            marker.settle(step, time_s, drift);
+            let (body, slot) = (&self.body, marker.slot);
+            marker.settle(step, time_s, || mean_velocity(body, slot, &velocities));
         }
     }
 

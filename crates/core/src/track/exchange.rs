@@ -51,21 +51,21 @@ impl Crowd {
     fn gain_of_exchange(&self, one: &Marker, other: &Marker, now: &Places, last: &Places) -> f64 {
         let (Some(p), Some(q)) = (now[one.slot], now[other.slot]) else { return 0.0 };
         let (Some(a), Some(b)) = (last[one.slot], last[other.slot]) else { return 0.0 };
-        let mut others = now.clone();
-        (others[one.slot], others[other.slot]) = (None, None);
+        let pair = [one.slot, other.slot];
         let spread = USUAL_DEVIATION * (p - q).norm();
         let cost = |m: &Marker, from: Vector3<f64>, to: Vector3<f64>| {
-            let drift = self.drift(m.slot, &others, last).unwrap_or_else(|| m.prior.point - from);
-            surprise((to - from - drift).norm(), spread) + link_cost(m, &to, &self.body.links, &others)
+            let drift = self.drift(m.slot, pair, now, last).unwrap_or_else(|| m.prior.point - from);
+            let others = |slot: usize| now[slot].filter(|_| !pair.contains(&slot));
+            surprise((to - from - drift).norm(), spread) + link_cost(m, &to, &self.body.links, others)
         };
         cost(one, a, p) + cost(other, b, q) - cost(one, a, q) - cost(other, b, p)
     }
 
-    /// How a marker's best neighbours have moved since the last frame (m).
-    fn drift(&self, slot: usize, now: &Places, last: &Places) -> Option<Vector3<f64>> {
-        let both: Places = now.iter().zip(last).map(|(n, l)| Some((*n)? - (*l)?)).collect();
-        let best = self.body.links.best(slot, &both, ASKED);
-        let moved: Vec<Vector3<f64>> = best.into_iter().filter_map(|o| both[o]).collect();
+    /// How a marker's best neighbours beside a pair have moved since the last frame (m).
+    fn drift(&self, slot: usize, pair: [usize; 2], now: &Places, last: &Places) -> Option<Vector3<f64>> {
+        let moved = |other: usize| Some(now[other]? - last[other]?).filter(|_| !pair.contains(&other));
+        let moved: Vec<Vector3<f64>> =
+            self.body.links.best_of(slot, |o| moved(o).is_some(), ASKED).into_iter().filter_map(moved).collect();
         (!moved.is_empty()).then(|| moved.iter().sum::<Vector3<f64>>() / moved.len() as f64)
     }
 }

@@ -94,8 +94,4 @@ impl<'a> Frame<'a> {
         self.sights[dot as usize].as_ref().expect("only usable dots are handed out")
     }
 
-    /// Indices of the dots that nobody owns.
-    pub fn left_over(&self) -> Vec<usize> {
-        (0..self.dots.len()).filter(|&d| self.free[d]).collect()
-    }
 }

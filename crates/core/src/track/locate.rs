@@ -117,8 +117,9 @@ fn solve(scene: &Scene, sights: &[&Sight], prior: &Prior, information: &Matrix3<
             break;
         }
     }
-    let behind = sights.iter().any(|s| s.depth(&point) <= 1e-6);
-    (!behind).then_some((point, cost))
+    // Written so that a search that ran off to infinity is no position either.
+    let in_front = sights.iter().all(|s| s.depth(&point) > 1e-6);
+    in_front.then_some((point, cost))
 }
 
 fn step(

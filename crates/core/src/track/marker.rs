@@ -24,6 +24,8 @@ const PUSHED: f64 = 16.3;
 const STALE_S: f64 = 0.1;
 /// Spread beyond which a hidden marker's own motion is no prediction any more (m).
 const LOST_SPREAD: f64 = 0.3;
+/// Nobody is farther from where the body says (m): what keeps the spread of the lost from growing for ever.
+const LARGEST_SPREAD: f64 = 1.5;
 /// Spread of the speed relative to the neighbours' (m/s).
 const SPEED_AMONG_NEIGHBOURS: f64 = 0.7;
 /// Frames in which a new marker must be seen: by three cameras or more, or by two.
@@ -189,8 +191,8 @@ impl Marker {
         }
     }
 
-    /// Measurement update; `drift` is how the marker's neighbours move.
-    pub fn settle(&mut self, step: &Step, time_s: f64, drift: Option<Vector3<f64>>) {
+    /// Measurement update; `drift` tells how the marker's neighbours move, where that is needed.
+    pub fn settle(&mut self, step: &Step, time_s: f64, drift: impl FnOnce() -> Option<Vector3<f64>>) {
         let Some(located) = &self.located else {
             self.state = (self.prior.point, self.prior.covariance);
             self.missed(drift);
@@ -211,7 +213,7 @@ impl Marker {
         let squared = squared_innovation(self.filter.covariance(), &information, &pull_on_filter);
         let astray = !self.live && (hidden_s > STALE_S || squared > PUSHED);
         if astray || std::mem::take(&mut self.exchanged) {
-            self.restart(&information, &pull, drift);
+            self.restart(&information, &pull, drift());
         } else {
             self.settle_live(step, &information);
         }
@@ -222,14 +224,15 @@ impl Marker {
         self.confirmed |= self.wide_hits >= HITS || self.hits >= HITS_OF_PAIRS;
     }
 
-    fn missed(&mut self, drift: Option<Vector3<f64>>) {
+    fn missed(&mut self, drift: impl FnOnce() -> Option<Vector3<f64>>) {
         self.live = false;
         self.misses += 1;
         if self.filter.covariance().trace() > LOST_SPREAD * LOST_SPREAD {
             // Its own motion is forgotten; from here on it moves with its neighbours.
             let (point, covariance) = self.state;
             let wide = covariance * 2.0 + Matrix3::identity() * (0.1 * LOST_SPREAD).powi(2);
-            let velocity = drift.unwrap_or_default();
+            let wide = wide * (LARGEST_SPREAD.powi(2) / wide.trace()).min(1.0);
+            let velocity = drift().unwrap_or_default();
             self.filter = Filter::moving(point, &wide, velocity, SPEED_AMONG_NEIGHBOURS, FIRST_ACCELERATION);
         }
     }

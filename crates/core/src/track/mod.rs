@@ -134,6 +134,8 @@ pub struct Tracked {
 /// What the full correspondence of the left-over dots gave.
 struct Searched {
     groups: Vec<Group>,
+    /// By dot, the marker that had to make do with it alone.
+    claims: Vec<Option<usize>>,
     dots: usize,
     overfull: bool,
     certified: bool,
@@ -229,7 +231,7 @@ impl Tracker {
         self.regate(&mut frame);
         self.share(&mut frame);
         let searched = self.fall_back(&frame);
-        let groups = self.rematch(&mut frame, searched.groups);
+        let groups = self.rematch(&mut frame, &searched);
         if !searched.overfull {
             let usual = self.usual_dots.unwrap_or(dots.len() as f64);
             self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
@@ -282,7 +284,7 @@ impl Tracker {
         let mut found: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
         for camera in 0..self.scene.rig.cameras.len() {
             let matched = match_camera(&self.scene, frame, camera, &priors, |_| true);
-            matched.pairs.iter().for_each(|&(who, dot)| found[who].push(dot));
+            matched.iter().for_each(|&(who, dot)| found[who].push(dot));
         }
         for (marker, mut dots) in self.crowd.markers.iter_mut().zip(found) {
             if !dots.is_empty() {
@@ -304,7 +306,7 @@ impl Tracker {
             }
             let lacks = |who: usize| !self.crowd.markers[who].has_dot_of(camera, frame);
             let matched = match_camera(&self.scene, frame, camera, &priors, lacks);
-            matched.pairs.iter().for_each(|&(who, dot)| more[who].push(dot));
+            matched.iter().for_each(|&(who, dot)| more[who].push(dot));
         }
         for (marker, more) in self.crowd.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
             let mut dots = more;
@@ -320,42 +322,72 @@ impl Tracker {
         }
     }
 
-    /// The full correspondence of what nobody owns.
+    /// The full correspondence of what no marker's place is known by: dots that nobody owns, and those with which a marker
+    /// that is not found has to make do.
     fn fall_back(&mut self, frame: &Frame) -> Searched {
-        let left: Vec<usize> = frame.left_over().into_iter().filter(|&d| !is_half(frame, d)).collect();
+        let claims = self.single_claims(frame.dots.len());
+        let unexplained = |d: usize| frame.sights[d].is_some() && (frame.free[d] || claims[d].is_some());
+        let left: Vec<usize> =
+            (0..frame.dots.len()).filter(|&d| unexplained(d) && !is_half(frame, &claims, d)).collect();
         let live = self.crowd.markers.iter().filter(|m| m.is_found()).count() as f64;
         let lost = self.crowd.markers.iter().filter(|m| !m.is_found()).count() as f64;
         let missing =
             (self.scene.model.expected_markers - live).max(0.0).min(if live == 0.0 { f64::MAX } else { lost });
         self.scene.ln_expected = (missing + BIRTHS_PER_FRAME).ln();
+        let mut searched =
+            Searched { groups: Vec::new(), claims, dots: left.len(), overfull: false, certified: left.len() < 2 };
         if left.len() < 2 {
-            return Searched { groups: Vec::new(), dots: left.len(), overfull: false, certified: true };
+            return searched;
         }
         let most = MOST_LEFT_OVER.max((MOST_TIMES_USUAL * self.usual_dots.unwrap_or(f64::MAX)) as usize);
         if left.len() > most {
-            return Searched { groups: Vec::new(), dots: left.len(), overfull: true, certified: false };
+            searched.overfull = true;
+            return searched;
         }
         let dots: Vec<Dot> = left.iter().map(|&d| frame.dots[d]).collect();
         let prepared = PreparedFrame::new(&self.scene, &dots);
-        let mut solved = optimal(&self.scene, &prepared, &self.crowd.options.fall_back);
-        for group in &mut solved.groups {
+        let solved = optimal(&self.scene, &prepared, &self.crowd.options.fall_back);
+        searched.certified = solved.certified;
+        searched.groups = solved.groups;
+        for group in &mut searched.groups {
             group.dots.iter_mut().for_each(|d| *d = left[*d]);
         }
-        Searched { groups: solved.groups, dots: left.len(), overfull: false, certified: solved.certified }
+        searched
+    }
+
+    /// By dot, the index of the marker that has it and no second one.
+    fn single_claims(&self, dots: usize) -> Vec<Option<usize>> {
+        let mut claims = vec![None; dots];
+        for (index, marker) in self.crowd.markers.iter().enumerate().filter(|(_, m)| !m.is_found()) {
+            for &dot in marker.located.iter().flat_map(|l| &l.dots) {
+                if let Some(claim) = claims.get_mut(dot as usize) {
+                    *claim = Some(index);
+                }
+            }
+        }
+        claims
     }
 
     /// Gives new points to lost markers; returns those that are nobody's.
-    fn rematch(&mut self, frame: &mut Frame, groups: Vec<Group>) -> Vec<Group> {
-        let owners = self.crowd.owners(&groups);
+    fn rematch(&mut self, frame: &mut Frame, searched: &Searched) -> Vec<Group> {
+        let owners = self.crowd.owners(&searched.groups);
         let mut left = Vec::new();
-        for (group, owner) in groups.into_iter().zip(owners) {
+        for (group, owner) in searched.groups.iter().zip(owners) {
+            let claimed: Vec<usize> = group.dots.iter().filter_map(|&d| searched.claims[d]).collect();
+            // Two hidden markers, each seen by one camera, explain two dots that happen to meet.
+            if owner.is_none() && !claimed.is_empty() && group.dots.len() < 3 {
+                continue;
+            }
+            for other in claimed {
+                self.crowd.markers[other].release(&mut frame.free);
+            }
             let Some(owner) = owner else {
-                left.push(group);
+                left.push(group.clone());
                 continue;
             };
             let marker = &mut self.crowd.markers[owner];
             marker.release(&mut frame.free);
-            marker.refind(Located::at(&self.scene, frame, dots_of(&group), group.point));
+            marker.refind(Located::at(&self.scene, frame, dots_of(group), group.point));
             marker.claim(&mut frame.free);
         }
         left
@@ -387,20 +419,22 @@ fn dots_of(group: &Group) -> Vec<u32> {
 
 /// Indices of the dots by camera and place.
 fn place_order(dots: &[Dot]) -> Vec<u32> {
-    let mut order: Vec<u32> = (0..dots.len() as u32).collect();
-    order.sort_by(|&a, &b| {
-        let (a, b) = (&dots[a as usize], &dots[b as usize]);
-        a.camera
-            .cmp(&b.camera)
-            .then(a.pixel[0].total_cmp(&b.pixel[0]))
-            .then(a.pixel[1].total_cmp(&b.pixel[1]))
-            .then(a.sigma.total_cmp(&b.sigma))
-    });
-    order
+    let mut keys: Vec<(usize, [u64; 3], u32)> = Vec::with_capacity(dots.len());
+    for (index, dot) in dots.iter().enumerate() {
+        keys.push((dot.camera, [dot.pixel[0], dot.pixel[1], dot.sigma].map(ascending), index as u32));
+    }
+    keys.sort_unstable();
+    keys.into_iter().map(|(_, _, index)| index).collect()
+}
+
+/// Bits that ascend as the numbers do (IEEE 754 total order).
+fn ascending(value: f64) -> u64 {
+    let bits = value.to_bits();
+    if bits >> 63 == 1 { !bits } else { bits | (1 << 63) }
 }
 
 /// Whether a dot lies so near to an owned one that it is a half of the same blob.
-fn is_half(frame: &Frame, dot: usize) -> bool {
+fn is_half(frame: &Frame, claims: &[Option<usize>], dot: usize) -> bool {
     let camera = frame.dots[dot].camera;
     let at = frame.pixel(dot as u32);
     let reach = SAME_BLOB_PX.max(3.0 * frame.sigma_px(dot as u32));
@@ -409,5 +443,5 @@ fn is_half(frame: &Frame, dot: usize) -> bool {
     dots[first..]
         .iter()
         .take_while(|&&d| frame.pixel(d).x <= at.x + reach)
-        .any(|&d| !frame.free[d as usize] && (frame.pixel(d) - at).norm() < reach)
+        .any(|&d| !frame.free[d as usize] && claims[d as usize].is_none() && (frame.pixel(d) - at).norm() < reach)
 }

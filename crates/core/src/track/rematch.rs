@@ -31,7 +31,7 @@ pub fn rematch(
 ) -> Vec<Option<usize>> {
     assign(groups.len(), lost.len(), |g, l| {
         let marker = &markers[lost[l]];
-        let cost = place_cost(marker, &groups[g])? + link_cost(marker, &groups[g].point, links, now);
+        let cost = place_cost(marker, &groups[g])? + link_cost(marker, &groups[g].point, links, |slot| now[slot]);
         (cost < WORST).then_some(cost - WORST)
     })
 }
@@ -49,10 +49,15 @@ pub fn surprise(away: f64, spread: f64) -> f64 {
 }
 
 /// How badly a point fits a marker's rigid links (nats).
-pub fn link_cost(marker: &Marker, point: &Vector3<f64>, links: &Links, now: &[Option<Vector3<f64>>]) -> f64 {
+pub fn link_cost(
+    marker: &Marker,
+    point: &Vector3<f64>,
+    links: &Links,
+    now: impl Fn(usize) -> Option<Vector3<f64>>,
+) -> f64 {
     let mut cost = 0.0;
     for link in links.of(marker.slot).iter().take(LINKS) {
-        if let Some(other) = now.get(link.other).copied().flatten().filter(|_| link.is_rigid()) {
+        if let Some(other) = now(link.other).filter(|_| link.is_rigid()) {
             let off = ((point - other).norm() - link.mean_m) / link.spread_m().max(1e-3);
             cost += (off * off / 2.0).min(WORST_LINK) - LINK_GAIN;
         }

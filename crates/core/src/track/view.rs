@@ -8,9 +8,10 @@
 
 use super::frame::Frame;
 use crate::assignment::assign;
-use crate::camera::Rig;
+use crate::camera::{Camera, Rig};
 use crate::correspond::scene::Scene;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use std::ops::Range;
 
 /// Where a marker is expected.
 #[derive(Clone, Copy, Debug)]
@@ -59,6 +60,8 @@ const LN_REAPPEARS: f64 = -4.0;
 const GATE: f64 = 18.4;
 /// New or unexplained markers per image, for the density of dots that belong to nothing known.
 const UNKNOWN_PER_IMAGE: f64 = 0.1;
+/// Dots that are counted one by one instead of halving on.
+const COUNTED: usize = 32;
 
 /// A predicted marker in one camera.
 struct View {
@@ -69,42 +72,81 @@ struct View {
     push: Matrix2<f64>,
 }
 
+/// A centred normal density in the image, ready to be evaluated.
+#[derive(Clone, Copy)]
+struct Density {
+    inverse: [f64; 3],
+    ln_peak: f64,
+}
+
+impl Density {
+    fn new(s: &Matrix2<f64>, weight: f64) -> Self {
+        let determinant = (s[(0, 0)] * s[(1, 1)] - s[(0, 1)] * s[(0, 1)]).max(1e-300);
+        let inverse = [s[(1, 1)] / determinant, -s[(0, 1)] / determinant, s[(0, 0)] / determinant];
+        Self { inverse, ln_peak: weight - 0.5 * determinant.ln() - std::f64::consts::TAU.ln() }
+    }
+
+    fn squared(&self, v: &Vector2<f64>) -> f64 {
+        let [a, b, c] = self.inverse;
+        a * v.x * v.x + 2.0 * b * v.x * v.y + c * v.y * v.y
+    }
+}
+
+/// The likelihood of innovations of one view: calm or pushed, for dots of one noise.
+#[derive(Clone, Copy)]
+struct Mixture {
+    sigma_px: f64,
+    calm: Density,
+    pushed: Density,
+}
+
+impl Mixture {
+    fn new(view: &View, sigma_px: f64) -> Self {
+        let own = view.own + Matrix2::identity() * (sigma_px * sigma_px);
+        let (calm, pushed) = (Density::new(&own, LN_NOT_PUSHED), Density::new(&(own + view.push), LN_PUSHED));
+        Self { sigma_px, calm, pushed }
+    }
+
+    /// Logarithm of the larger component; `None` outside the gate.
+    fn ln(&self, offset: &Vector2<f64>) -> Option<f64> {
+        let pushed = self.pushed.squared(offset);
+        let calm = self.calm.ln_peak - 0.5 * self.calm.squared(offset);
+        (pushed <= GATE).then(|| calm.max(self.pushed.ln_peak - 0.5 * pushed))
+    }
+}
+
 /// A dot that may be a marker's, with the gain of believing so (nats).
+#[derive(Clone, Copy)]
 struct Edge {
     who: usize,
     dot: u32,
     gain: f64,
 }
 
-/// One camera's part of the work.
-pub struct CameraMatch {
-    /// Pairs (index of the prior, dot).
-    pub pairs: Vec<(usize, u32)>,
-}
-
-/// Matches free dots of one camera to the markers expected at `priors` (indices `who` of those asked for).
+/// Matches free dots of one camera to the markers expected at `priors`, of which those that are `wanted` are asked for.
+/// Pairs (index of the prior, dot).
 pub fn match_camera(
     scene: &Scene,
     frame: &Frame,
     camera: usize,
     priors: &[Option<Prior>],
     wanted: impl Fn(usize) -> bool,
-) -> CameraMatch {
-    let dots = &frame.by_camera[camera];
-    if dots.is_empty() {
-        return CameraMatch { pairs: Vec::new() };
+) -> Vec<(usize, u32)> {
+    let free = Free::of(frame, camera);
+    if free.dots.is_empty() {
+        return Vec::new();
     }
-    let alone = ln_alone(scene, camera);
     let detection = scene.model.detection;
-    let base = (detection / (1.0 - detection)).ln() - alone;
-    let mut edges = Vec::new();
+    let base = (detection / (1.0 - detection)).ln() - ln_alone(scene, camera);
+    let mut edges = Vec::with_capacity(2 * free.dots.len());
     for (who, prior) in priors.iter().enumerate() {
         let Some(prior) = prior.as_ref().filter(|_| wanted(who)) else { continue };
-        if let Some(view) = view_of(&scene.rig, camera, who, prior) {
-            add_edges(frame, camera, &view, base, &mut edges);
+        if let Some(near) = free.near(&scene.rig.cameras[camera], prior) {
+            let Some(view) = view_of(&scene.rig, camera, who, prior) else { continue };
+            add_edges(frame, camera, &view, base, &free.dots[near], &mut edges);
         }
     }
-    CameraMatch { pairs: best_pairs(&edges) }
+    best_pairs(edges)
 }
 
 /// Logarithm of the density (px⁻²) of dots that belong to nothing known.
@@ -113,69 +155,74 @@ fn ln_alone(scene: &Scene, camera: usize) -> f64 {
     ((scene.model.clutter[camera] + UNKNOWN_PER_IMAGE) / (width * height)).ln()
 }
 
+/// Free dots of one camera, by ascending x.
+struct Free {
+    dots: Vec<u32>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    widest_sigma_px: f64,
+}
+
+impl Free {
+    fn of(frame: &Frame, camera: usize) -> Self {
+        let dots: Vec<u32> = frame.by_camera[camera].iter().copied().filter(|&d| frame.free[d as usize]).collect();
+        let x = dots.iter().map(|&d| frame.pixel(d).x).collect();
+        let y = dots.iter().map(|&d| frame.pixel(d).y).collect();
+        Self { dots, x, y, widest_sigma_px: frame.widest_sigma_px[camera] }
+    }
+
+    /// The dots that may be within a marker's gate; `None` if there are none. Cheap: most hidden markers end here.
+    fn near(&self, camera: &Camera, prior: &Prior) -> Option<Range<usize>> {
+        let (pixel, px2_per_m2) = camera.project_scaled(&prior.point)?;
+        let variance = px2_per_m2 * (prior.covariance.trace() + prior.push);
+        let reach = (GATE * (variance + self.widest_sigma_px * self.widest_sigma_px)).sqrt();
+        let first = self.left_of(pixel.x - reach);
+        let last = first + self.x[first..].iter().take_while(|&&x| x <= pixel.x + reach).count();
+        self.y[first..last].iter().any(|y| (y - pixel.y).abs() <= reach).then_some(first..last)
+    }
+
+    /// Number of dots left of a place. Counting a few is faster than jumping about.
+    fn left_of(&self, x: f64) -> usize {
+        let (mut low, mut high) = (0, self.x.len());
+        while high - low > COUNTED {
+            let middle = (low + high) / 2;
+            if self.x[middle] < x { low = middle } else { high = middle }
+        }
+        low + self.x[low..high].iter().map(|&other| usize::from(other < x)).sum::<usize>()
+    }
+}
+
 fn view_of(rig: &Rig, camera: usize, who: usize, prior: &Prior) -> Option<View> {
     let (pixel, by_point) = rig.cameras[camera].project_linear(&prior.point)?;
     let own = spread(&by_point, &prior.covariance);
     let push = by_point * by_point.transpose() * prior.push;
-    let reach = (GATE * (own + push).trace()).sqrt() + 2.0;
-    let size = rig.cameras[camera].size_px;
-    let inside = (0..2).all(|i| pixel[i] > -reach && pixel[i] < size[i] + reach);
-    inside.then_some(View { who, pixel, own, push })
+    Some(View { who, pixel, own, push })
 }
 
 fn spread(by_point: &Matrix2x3<f64>, covariance: &Matrix3<f64>) -> Matrix2<f64> {
     by_point * covariance * by_point.transpose()
 }
 
-fn add_edges(frame: &Frame, camera: usize, view: &View, base: f64, edges: &mut Vec<Edge>) {
-    let dots = &frame.by_camera[camera];
-    let widest = frame.widest_sigma_px[camera];
-    let wide = view.own + view.push + Matrix2::identity() * (widest * widest);
-    let reach = Vector2::new((GATE * wide[(0, 0)]).sqrt(), (GATE * wide[(1, 1)]).sqrt());
-    let first = dots.partition_point(|&d| frame.pixel(d).x < view.pixel.x - reach.x);
-    for &dot in &dots[first..] {
+fn add_edges(frame: &Frame, camera: usize, view: &View, base: f64, dots: &[u32], edges: &mut Vec<Edge>) {
+    let mut mixture = Mixture::new(view, frame.widest_sigma_px[camera]);
+    for &dot in dots {
+        let sigma_px = frame.sigma_px(dot);
+        if sigma_px.to_bits() != mixture.sigma_px.to_bits() {
+            mixture = Mixture::new(view, sigma_px);
+        }
         let offset = frame.pixel(dot) - view.pixel;
-        if offset.x > reach.x {
-            break;
-        }
-        if offset.y.abs() > reach.y || !frame.free[dot as usize] {
-            continue;
-        }
-        let sigma = frame.sigma_px(dot);
-        if let Some(ln_likelihood) = ln_mixture(view, &offset, sigma * sigma) {
-            let gain = base + ln_likelihood;
-            if gain > 0.0 {
-                edges.push(Edge { who: view.who, dot, gain });
-            }
+        if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln).filter(|g| *g > 0.0) {
+            edges.push(Edge { who: view.who, dot, gain });
         }
     }
 }
 
-/// Logarithm of the larger component of the mixture; `None` outside the gate.
-fn ln_mixture(view: &View, offset: &Vector2<f64>, noise: f64) -> Option<f64> {
-    let own = view.own + Matrix2::identity() * noise;
-    let wide = own + view.push;
-    let (wide_distance, wide_determinant) = mahalanobis(&wide, offset);
-    if wide_distance > GATE {
-        return None;
+/// The pairs of greatest total gain. Pairs that nothing can beat are taken as they are; the rest is solved group by group.
+fn best_pairs(mut edges: Vec<Edge>) -> Vec<(usize, u32)> {
+    let mut pairs = take_sure(&mut edges);
+    if edges.is_empty() {
+        return pairs;
     }
-    let (own_distance, own_determinant) = mahalanobis(&own, offset);
-    let ln = |weight: f64, distance: f64, determinant: f64| {
-        weight - 0.5 * (distance + determinant.ln()) - std::f64::consts::TAU.ln()
-    };
-    let calm = ln(LN_NOT_PUSHED, own_distance, own_determinant);
-    Some(calm.max(ln(LN_PUSHED, wide_distance, wide_determinant)))
-}
-
-fn mahalanobis(s: &Matrix2<f64>, v: &Vector2<f64>) -> (f64, f64) {
-    let determinant = s[(0, 0)] * s[(1, 1)] - s[(0, 1)] * s[(0, 1)];
-    let squared =
-        (s[(1, 1)] * v.x * v.x - 2.0 * s[(0, 1)] * v.x * v.y + s[(0, 0)] * v.y * v.y) / determinant.max(1e-300);
-    (squared, determinant)
-}
-
-/// The pairs of greatest total gain. Pairs without a rival are taken as they are; the rest is solved group by group.
-fn best_pairs(edges: &[Edge]) -> Vec<(usize, u32)> {
     let mut by_dot: Vec<usize> = (0..edges.len()).collect();
     by_dot.sort_unstable_by_key(|&e| (edges[e].dot, edges[e].who));
     let mut group: Vec<usize> = (0..edges.len()).collect();
@@ -187,7 +234,6 @@ fn best_pairs(edges: &[Edge]) -> Vec<(usize, u32)> {
     }
     let mut members: Vec<(usize, usize)> = (0..edges.len()).map(|e| (root(&mut group, e), e)).collect();
     members.sort_unstable();
-    let mut pairs = Vec::with_capacity(edges.len());
     for component in members.chunk_by(|a, b| a.0 == b.0) {
         match component {
             [(_, single)] => pairs.push((edges[*single].who, edges[*single].dot)),
@@ -195,6 +241,56 @@ fn best_pairs(edges: &[Edge]) -> Vec<(usize, u32)> {
         }
     }
     pairs
+}
+
+/// The two largest gains around a marker or a dot.
+#[derive(Clone, Copy, Default)]
+struct Best {
+    first: f64,
+    second: f64,
+}
+
+impl Best {
+    fn take_in(&mut self, gain: f64) {
+        if gain > self.first {
+            (self.first, self.second) = (gain, self.first);
+        } else {
+            self.second = self.second.max(gain);
+        }
+    }
+
+    /// The best of the others.
+    fn beside(&self, gain: f64) -> f64 {
+        if gain >= self.first { self.second } else { self.first }
+    }
+}
+
+/// Takes out the pairs whose gain is at least that of the best others of their marker and their dot together: no exchange
+/// could lose less. Edges of what is taken go.
+fn take_sure(edges: &mut Vec<Edge>) -> Vec<(usize, u32)> {
+    let markers = edges.iter().map(|e| e.who + 1).max().unwrap_or(0);
+    let dots = edges.iter().map(|e| e.dot as usize + 1).max().unwrap_or(0);
+    let mut pairs = Vec::with_capacity(edges.len());
+    loop {
+        let (mut of_marker, mut of_dot) = (vec![Best::default(); markers], vec![Best::default(); dots]);
+        for e in &*edges {
+            of_marker[e.who].take_in(e.gain);
+            of_dot[e.dot as usize].take_in(e.gain);
+        }
+        let sure =
+            |e: &Edge| e.gain > of_marker[e.who].beside(e.gain) + of_dot[e.dot as usize].beside(e.gain);
+        let taken: Vec<(usize, u32)> = edges.iter().filter(|e| sure(e)).map(|e| (e.who, e.dot)).collect();
+        if taken.is_empty() {
+            return pairs;
+        }
+        let (mut marker_taken, mut dot_taken) = (vec![false; markers], vec![false; dots]);
+        taken.iter().for_each(|&(who, dot)| (marker_taken[who], dot_taken[dot as usize]) = (true, true));
+        edges.retain(|e| !marker_taken[e.who] && !dot_taken[e.dot as usize]);
+        pairs.extend(taken);
+        if edges.is_empty() {
+            return pairs;
+        }
+    }
 }
 
 fn solve<'a>(edges: impl Iterator<Item = &'a Edge> + Clone, pairs: &mut Vec<(usize, u32)>) {

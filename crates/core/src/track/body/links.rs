@@ -57,7 +57,7 @@ impl Link {
 
     fn learn(&mut self, between: &Vector3<f64>, noise: f64) {
         let length = between.norm();
-        let spread = self.spread_m().hypot(noise.sqrt());
+        let spread = (self.spread_m().powi(2) + noise).sqrt();
         let deviation = length - self.mean_m;
         if self.count > 20.0 && deviation.abs() > OFF * spread {
             self.off = (self.off + 1).min(2 * OFF_LIMIT);
@@ -193,10 +193,21 @@ impl Links {
 
     /// The markers that place a hidden one best, among those that are known `now`, best first.
     pub fn best(&self, slot: usize, now: &[Option<Vector3<f64>>], most: usize) -> Vec<usize> {
-        let known = |l: &&Link| now.get(l.other).is_some_and(Option::is_some) && !l.is_broken();
-        let mut found: Vec<&Link> = self.of(slot).iter().filter(known).collect();
-        found.sort_by(|a, b| a.cost().total_cmp(&b.cost()).then(a.other.cmp(&b.other)));
-        found.iter().take(most).map(|l| l.other).collect()
+        self.best_of(slot, |other| now.get(other).is_some_and(Option::is_some), most)
+    }
+
+    /// The markers that place another one best, among those that are `usable`, best first.
+    pub fn best_of(&self, slot: usize, usable: impl Fn(usize) -> bool, most: usize) -> Vec<usize> {
+        let mut found: Vec<(f64, usize)> = Vec::with_capacity(most + 1);
+        for link in self.of(slot).iter().filter(|l| usable(l.other) && !l.is_broken()) {
+            let one = (link.cost(), link.other);
+            let at = found.partition_point(|f| f.0.total_cmp(&one.0).then(f.1.cmp(&one.1)).is_lt());
+            if at < most {
+                found.insert(at, one);
+                found.truncate(most);
+            }
+        }
+        found.into_iter().map(|f| f.1).collect()
     }
 }
 

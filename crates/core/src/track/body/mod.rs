@@ -26,6 +26,10 @@ const HISTORY: usize = 200;
 
 /// A body comes into poses beyond those that are known: in this time a hidden marker's variance doubles (s).
 const EXPLORES_S: f64 = 1.7;
+/// A frame is given up when a neighbour of it has been hidden for so many frames; and so many are fitted anew at most before
+/// the next frame comes, so that time stays bounded.
+const PATIENCE: usize = 3;
+const FITS_PER_FRAME: usize = 2;
 /// Frames from which a hidden marker's last motion is known.
 const LAST_FRAMES: usize = 4;
 
@@ -51,6 +55,14 @@ pub struct Carried {
     pub covariance: Matrix3<f64>,
 }
 
+/// The frame of neighbours that carries a hidden marker.
+#[derive(Clone, Debug, Default)]
+struct Framing {
+    fit: Option<Fit>,
+    /// Frames in a row in which it could not be used.
+    idle: usize,
+}
+
 /// Positions by slot at one moment.
 pub type Snapshot = Vec<Option<Vector3<f64>>>;
 
@@ -65,7 +77,9 @@ pub struct Body {
     last: VecDeque<(f64, Snapshot)>,
     /// The last frames in which a hidden marker was seen, newest first.
     lost: Vec<Option<Vec<(f64, Snapshot)>>>,
-    fits: Vec<Option<Fit>>,
+    fits: Vec<Framing>,
+    /// Frames fitted since markers were last learned from.
+    fitted: usize,
     next_links_s: f64,
     next_history_s: f64,
 }
@@ -80,15 +94,15 @@ impl Body {
                 *place = None;
             }
         }
-        (self.lost[slot], self.fits[slot]) = (None, None);
+        (self.lost[slot], self.fits[slot]) = (None, Framing::default());
         for (_, snapshot) in self.last.iter_mut().chain(self.lost.iter_mut().flatten().flatten()) {
             if let Some(place) = snapshot.get_mut(slot) {
                 *place = None;
             }
         }
-        for fit in &mut self.fits {
-            if fit.as_ref().is_some_and(|f| f.uses(slot)) {
-                *fit = None;
+        for framing in &mut self.fits {
+            if framing.fit.as_ref().is_some_and(|f| f.uses(slot)) {
+                *framing = Framing::default();
             }
         }
     }
@@ -96,7 +110,7 @@ impl Body {
     fn reserve(&mut self, slots: usize) {
         if self.lost.len() < slots {
             self.lost.resize(slots, None);
-            self.fits.resize(slots, None);
+            self.fits.resize(slots, Framing::default());
             self.links.reserve(slots);
         }
     }
@@ -105,6 +119,7 @@ impl Body {
     pub fn learn(&mut self, seen: &[Seen], time_s: f64) {
         let slots = seen.iter().map(|s| s.slot + 1).max().unwrap_or(0);
         self.reserve(slots);
+        self.fitted = 0;
         if time_s >= self.next_links_s {
             self.next_links_s = time_s + 0.999 / LINKS_HZ;
             self.links.learn(seen);
@@ -117,7 +132,7 @@ impl Body {
         }
         for s in seen {
             now[s.slot] = Some(s.point);
-            (self.lost[s.slot], self.fits[s.slot]) = (None, None);
+            (self.lost[s.slot], self.fits[s.slot]) = (None, Framing::default());
         }
         for (slot, place) in now.iter().enumerate() {
             let was_seen = self.last.front().is_some_and(|(_, s)| s.get(slot).is_some_and(Option::is_some));
@@ -145,20 +160,44 @@ impl Body {
     }
 
     /// Where a hidden marker is: its own motion, the frame of its neighbours and the links to them, put together by their
-    /// covariances. `now`: the markers whose places are known.
-    pub fn carry(&mut self, slot: usize, own: &Carried, now: &[Option<Vector3<f64>>], time_s: f64) -> Carried {
+    /// covariances. `now`: the markers whose places are known. `framed`: whether it was hidden before; for a moment its
+    /// own motion is enough.
+    pub fn carry(
+        &mut self,
+        slot: usize,
+        own: &Carried,
+        now: &[Option<Vector3<f64>>],
+        time_s: f64,
+        framed: bool,
+    ) -> Carried {
         self.reserve(slot + 1);
-        if !self.fits[slot].as_ref().is_some_and(|f| f.can_use(now)) {
-            let neighbours = self.links.best(slot, now, regression::NEIGHBOURS);
-            let history: Vec<&Snapshot> = self.recent().collect();
-            let lost = self.lost[slot].as_deref().unwrap_or_default();
-            self.fits[slot] = Fit::new(slot, &neighbours, &history, lost, 1.0 / HISTORY_HZ);
+        if framed {
+            self.renew_frame(slot, now);
         }
-        let framed = self.fits[slot].as_mut().and_then(|f| f.predict(now, time_s));
+        let framed = self.fits[slot].fit.as_mut().and_then(|f| f.predict(now, time_s));
         let fused = framed.and_then(|c| fuse((&own.point, &own.covariance), (&c.point, &c.covariance)));
         let start = fused.map_or(*own, |(point, covariance)| Carried { point, covariance });
         let pulled = self.links.pull(slot, &start, now).unwrap_or(start);
         let hidden_s = self.lost[slot].as_ref().and_then(|l| l.first()).map_or(0.0, |(at, _)| time_s - at);
         Carried { covariance: pulled.covariance * (1.0 + hidden_s.max(0.0) / EXPLORES_S), ..pulled }
+    }
+
+    /// Fits a frame of neighbours that are known where there is none that can be used.
+    fn renew_frame(&mut self, slot: usize, now: &[Option<Vector3<f64>>]) {
+        let framing = &mut self.fits[slot];
+        if framing.fit.as_ref().is_some_and(|f| f.can_use(now)) {
+            framing.idle = 0;
+            return;
+        }
+        framing.idle += 1;
+        if self.fitted >= FITS_PER_FRAME || (framing.fit.is_some() && framing.idle < PATIENCE) {
+            return;
+        }
+        let neighbours = self.links.best(slot, now, regression::NEIGHBOURS);
+        let history: Vec<&Snapshot> = self.recent().collect();
+        let lost = self.lost[slot].as_deref().unwrap_or_default();
+        let fit = Fit::new(slot, &neighbours, &history, lost, 1.0 / HISTORY_HZ);
+        self.fitted += 1;
+        self.fits[slot] = Framing { fit, idle: 0 };
     }
 }

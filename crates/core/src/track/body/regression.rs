@@ -8,7 +8,7 @@
 
 use super::rotation::align;
 use super::{Carried, Snapshot};
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Rotation3, Vector3};
 
 /// Neighbours at most.
 pub const NEIGHBOURS: usize = 6;
@@ -189,12 +189,10 @@ impl Fit {
         let scale = moments.mean_variance();
         let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
         let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let solved = moments.solve(ridge);
         self.mean_features = moments.mean_features();
         self.mean_place = moments.mean_place();
-        if let Some((coefficients, inverse)) = solved {
-            (self.coefficients, self.inverse) = (Some(coefficients), Some(inverse));
-        }
+        self.coefficients = moments.coefficients(ridge);
+        self.inverse = moments.ridged(ridge).map(|r| r.inverse());
         let lag = self.lag_correlation(samples);
         self.length_s = length_of(lag, spacing_s);
         let worth = samples.len() as f64 * (1.0 - lag) / (1.0 + lag);
@@ -278,10 +276,10 @@ fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f
     for (f, own) in folds.iter().enumerate() {
         let rest = all.without(own);
         let (mean_features, mean_place) = (rest.mean_features(), rest.mean_place());
-        let solved = rest.solve(ridge);
+        let coefficients = rest.coefficients(ridge);
         for sample in fold(samples, f) {
             let mut off = sample.place - mean_place;
-            if let Some((coefficients, _)) = &solved {
+            if let Some(coefficients) = &coefficients {
                 let d = coefficients * (&sample.features - &mean_features);
                 off -= Vector3::new(d[0], d[1], d[2]);
             }
@@ -345,8 +343,8 @@ impl Moments {
         (self.features2.trace() - self.count * mean.norm_squared()).max(1e-12) / width
     }
 
-    /// Coefficients and inverse second moments with a ridge; `None` for the rigid frame.
-    fn solve(&self, ridge: f64) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+    /// Factorised second moments with a ridge; `None` for the rigid frame.
+    fn ridged(&self, ridge: f64) -> Option<Cholesky<f64, Dyn>> {
         if !ridge.is_finite() {
             return None;
         }
@@ -355,9 +353,15 @@ impl Moments {
         for i in 0..second.nrows() {
             second[(i, i)] += ridge;
         }
+        second.cholesky()
+    }
+
+    /// Coefficients of the places by the features (3 × 3K) with a ridge; `None` for the rigid frame.
+    fn coefficients(&self, ridge: f64) -> Option<DMatrix<f64>> {
+        let factor = self.ridged(ridge)?;
+        let mean = self.mean_features();
         let cross = &self.place_features - self.mean_place() * mean.transpose() * self.count;
-        let inverse = second.cholesky()?.inverse();
-        let coefficients = DMatrix::from_fn(3, inverse.ncols(), |i, j| (cross.row(i) * inverse.column(j))[(0, 0)]);
-        Some((coefficients, inverse))
+        let solved = factor.solve(&cross.transpose());
+        Some(DMatrix::from_fn(3, solved.nrows(), |i, j| solved[(j, i)]))
     }
 }

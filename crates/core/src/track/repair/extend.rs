@@ -131,7 +131,7 @@ fn search(
     let mut found = vec![Vec::new(); priors.len()];
     for camera in 0..scene.rig.cameras.len() {
         let matched = match_camera(scene, &frame, camera, &priors, |_| true);
-        matched.pairs.iter().for_each(|&(who, dot)| found[who].push(dot));
+        matched.iter().for_each(|&(who, dot)| found[who].push(dot));
     }
     let mut samples = Vec::new();
     for ((track, runner), (mut dots, prior)) in runners.iter_mut().zip(found.into_iter().zip(priors)) {
