@@ -167,8 +167,10 @@ const MOST_LEFT_OVER: usize = 600;
 const MOST_TIMES_USUAL: f64 = 3.0;
 /// Weight of one frame in what is usual.
 const USUAL: f64 = 0.05;
-/// A marker is not born nearer than this to a known one (m).
-const SMALLEST_DISTANCE: f64 = 0.012;
+/// A marker is not born nearer than this to a known one: if three rays meet there, and if only two do (m). Markers are not
+/// smaller, and two rays may be a known marker's half-hidden image.
+const SMALLEST_DISTANCE: f64 = 0.006;
+const SMALLEST_DISTANCE_OF_PAIRS: f64 = 0.012;
 /// Left-over dots nearer to an owned one are its halves (px).
 const SAME_BLOB_PX: f64 = 1.2;
 /// Markers expected to appear from nowhere in one frame.
@@ -398,7 +400,8 @@ impl Tracker {
         let first = self.crowd.is_new();
         for group in groups {
             let near = |m: &Marker| {
-                let least = SMALLEST_DISTANCE.max(2.0 * group.covariance.trace().sqrt());
+                let smallest = if group.dots.len() < 3 { SMALLEST_DISTANCE_OF_PAIRS } else { SMALLEST_DISTANCE };
+                let least = smallest.max(2.0 * group.covariance.trace().sqrt());
                 m.is_found() && (m.filter.position - group.point).norm() < least
             };
             if self.crowd.markers.iter().any(near) || group.confidence < 0.5 {

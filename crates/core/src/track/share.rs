@@ -79,11 +79,15 @@ impl Tracker {
         }
         let mut dots: Vec<Option<Vec<u32>>> = vec![None; self.crowd.markers.len()];
         for s in &shared {
+            let camera = frame.sight(s.dot).camera;
             let lent = frame.share(s.dot, s.noise_px);
             let own = |index: usize| self.crowd.markers[index].located.iter().flat_map(|l| l.dots.clone()).collect();
             dots[s.owner].get_or_insert_with(|| own(s.owner));
             if !self.crowd.markers[s.other].is_found() {
-                dots[s.other].get_or_insert_with(|| own(s.other)).push(lent);
+                let dots = dots[s.other].get_or_insert_with(|| own(s.other));
+                if dots.iter().all(|&d| frame.sight(d).camera != camera) {
+                    dots.push(lent);
+                }
             }
         }
         for (marker, dots) in self.crowd.markers.iter_mut().zip(dots) {

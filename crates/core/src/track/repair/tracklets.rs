@@ -1,9 +1,9 @@
 //! Stretches of a trajectory within which the identity is beyond doubt.
 //!
-//! A recorded trajectory is cut where a marker was hidden for more than a moment and where two markers came so near
-//! that they may have been exchanged. What belongs together is decided anew, with the whole take in view (`join.rs`).
+//! A recorded trajectory is cut where a marker was hidden for more than a moment, where two markers came so near
+//! that they may have been exchanged, and where the forward pass gave one marker's points to another. What belongs together is decided anew, with the whole take in view (`join.rs`).
 
-use crate::track::{Kind, Tracked};
+use crate::track::{Kind, Sample, Tracked};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
@@ -13,13 +13,24 @@ const SURE_GAP_S: f64 = 0.025;
 const CONTACT: f64 = 0.008;
 const PARTED: f64 = 0.020;
 
+/// Frames before the last from which a tracklet's velocity is taken.
+const RUN_UP: usize = 2;
+/// A place is off its prediction by the usual acceleration at least so much (m), and without a velocity by this speed (m/s).
+const LEAST_SPREAD: f64 = 0.002;
+const UNKNOWN_SPEED: f64 = 3.0;
+/// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
+const FARTHEST: f64 = 1.5;
+const CLEAR: f64 = 3.0;
+/// The usual acceleration: from about so many frames, at least (m/s²).
+const LOOKED_AT: usize = 500;
+const LEAST_ACCELERATION: f64 = 5.0;
 /// Measured frames up to which a stretch may be a chance meeting of rays.
 const FLICKER: usize = 2;
 
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
 pub struct Tracklet {
-    /// Identity that the forward pass gave it.
+    /// Identity that the forward pass gave it last.
     pub track: u32,
     /// Index of its first frame.
     pub first: usize,
@@ -34,6 +45,19 @@ pub struct Tracklet {
 }
 
 impl Tracklet {
+    fn starting(first: usize) -> Self {
+        Self { track: 0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
+    }
+
+    fn take_in(&mut self, index: usize, sample: &Sample) {
+        self.track = sample.track;
+        self.places.resize(index - self.first, None);
+        self.places.push(Some(sample.point));
+        self.wide += usize::from(sample.dots.len() >= 3);
+        self.measured += 1;
+        self.variance += sample.covariance.trace() / 3.0;
+    }
+
     /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
     pub fn is_flicker(&self) -> bool {
         self.measured <= FLICKER && self.wide < self.measured
@@ -58,49 +82,142 @@ impl Tracklet {
 }
 
 /// Cuts all trajectories that were ever believed. Also returns, by frame and sample, the tracklet of each measured one.
+///
+/// A sample goes on with the tracklet whose motion leads to it, whatever identity the forward pass gave it: that pass may
+/// have given a visible marker's dots to a hidden one. Where motion is not clear, the forward pass's identity counts.
 pub fn cut(frames: &[Tracked], times_s: &[f64]) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
     let believed = believed(frames);
+    let acceleration = usual_acceleration(frames, times_s);
     let mut tracklets: Vec<Tracklet> = Vec::new();
     let mut owner: Vec<Vec<Option<usize>>> = Vec::with_capacity(frames.len());
-    let mut open: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut open: Vec<usize> = Vec::new();
     let mut touching: BTreeMap<(u32, u32), bool> = BTreeMap::new();
     for (index, frame) in frames.iter().enumerate() {
-        for pair in changes_of_contact(frame, &mut touching) {
-            open.remove(&pair.0);
-            open.remove(&pair.1);
-        }
-        let mut own = vec![None; frame.samples.len()];
-        for (i, sample) in frame.samples.iter().enumerate() {
-            if sample.kind != Kind::Measured || believed.binary_search(&sample.track).is_err() {
-                continue;
+        open.retain(|&t| {
+            let last = tracklets[t].last();
+            index - last <= 2 || times_s[index] - times_s[last] <= SURE_GAP_S
+        });
+        let changed = changes_of_contact(frame, &mut touching);
+        open.retain(|&t| !changed.iter().any(|c| c.0 == tracklets[t].track || c.1 == tracklets[t].track));
+        let is_own = |s: &Sample| s.kind == Kind::Measured && believed.binary_search(&s.track).is_ok();
+        let own: Vec<usize> = (0..frame.samples.len()).filter(|&i| is_own(&frame.samples[i])).collect();
+        let ahead: Vec<Ahead> =
+            open.iter().map(|&t| Ahead::of(&tracklets[t], index, times_s, acceleration)).collect();
+        let goes_on = continuations(&ahead, own.iter().map(|&i| &frame.samples[i]));
+        let mut owners = vec![None; frame.samples.len()];
+        for (&i, goes_on) in own.iter().zip(goes_on) {
+            let tracklet = goes_on.map_or(tracklets.len(), |k| open[k]);
+            if tracklet == tracklets.len() {
+                tracklets.push(Tracklet::starting(index));
+                open.push(tracklet);
             }
-            let goes_on = open.get(&sample.track).copied().filter(|&t| {
-                let last = tracklets[t].last();
-                index - last <= 2 || times_s[index] - times_s[last] <= SURE_GAP_S
-            });
-            let tracklet = goes_on.unwrap_or_else(|| {
-                tracklets.push(Tracklet {
-                    track: sample.track,
-                    first: index,
-                    places: Vec::new(),
-                    wide: 0,
-                    measured: 0,
-                    variance: 0.0,
-                });
-                tracklets.len() - 1
-            });
-            open.insert(sample.track, tracklet);
-            let one = &mut tracklets[tracklet];
-            one.places.resize(index - one.first, None);
-            one.places.push(Some(sample.point));
-            one.wide += usize::from(sample.dots.len() >= 3);
-            one.measured += 1;
-            one.variance += sample.covariance.trace() / 3.0;
-            own[i] = Some(tracklet);
+            tracklets[tracklet].take_in(index, &frame.samples[i]);
+            owners[i] = Some(tracklet);
         }
-        owner.push(own);
+        owner.push(owners);
     }
     (tracklets, owner)
+}
+
+/// Where a tracklet leads.
+struct Ahead {
+    track: u32,
+    point: Vector3<f64>,
+    /// How far off that may be (m).
+    spread: f64,
+}
+
+impl Ahead {
+    fn of(tracklet: &Tracklet, index: usize, times_s: &[f64], acceleration: f64) -> Self {
+        let last = tracklet.last();
+        let newest = tracklet.places[tracklet.places.len() - 1].unwrap_or_default();
+        let dt_s = times_s[index] - times_s[last];
+        let before = (tracklet.first..last).rev().take(RUN_UP).find_map(|f| tracklet.at(f).map(|p| (f, p)));
+        let (point, lag_s, speed) = match before {
+            Some((f, p)) => {
+                let lag_s = times_s[last] - times_s[f];
+                (newest + (newest - p) * (dt_s / lag_s), lag_s, 0.0)
+            }
+            None => (newest, 0.0, UNKNOWN_SPEED),
+        };
+        let spread = LEAST_SPREAD + speed * dt_s + 0.5 * acceleration * dt_s * (dt_s + lag_s);
+        Self { track: tracklet.track, point, spread }
+    }
+}
+
+/// For each sample, the index of what it goes on with.
+fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>) -> Vec<Option<usize>> {
+    let samples: Vec<&Sample> = samples.collect();
+    let off = |k: usize, s: usize| (samples[s].point - ahead[k].point).norm() / ahead[k].spread;
+    let mut of_sample = vec![Nearest::default(); samples.len()];
+    let mut of_ahead = vec![Nearest::default(); ahead.len()];
+    for k in 0..ahead.len() {
+        for s in 0..samples.len() {
+            let off = off(k, s);
+            of_sample[s].take_in(k, off);
+            of_ahead[k].take_in(s, off);
+        }
+    }
+    let clearly = |s: usize| {
+        let (k, _) = of_sample[s].first?;
+        let (back, off) = of_ahead[k].first?;
+        let second = of_sample[s].second.min(of_ahead[k].second);
+        (back == s && off < FARTHEST && second > CLEAR * off.max(1.0)).then_some(k)
+    };
+    let mut found: Vec<Option<usize>> = (0..samples.len()).map(clearly).collect();
+    let mut taken = vec![false; ahead.len()];
+    found.iter().flatten().for_each(|&k| taken[k] = true);
+    for (sample, found) in samples.iter().zip(&mut found).filter(|(_, f)| f.is_none()) {
+        *found = (0..ahead.len()).find(|&k| !taken[k] && ahead[k].track == sample.track);
+        found.iter().for_each(|&k| taken[k] = true);
+    }
+    found
+}
+
+/// The nearest candidate, and how far the second is (spreads).
+#[derive(Clone, Copy)]
+struct Nearest {
+    first: Option<(usize, f64)>,
+    second: f64,
+}
+
+impl Default for Nearest {
+    fn default() -> Self {
+        Self { first: None, second: f64::INFINITY }
+    }
+}
+
+impl Nearest {
+    fn take_in(&mut self, who: usize, off: f64) {
+        match self.first {
+            Some((_, best)) if off >= best => self.second = self.second.min(off),
+            first => {
+                self.second = first.map_or(f64::INFINITY, |f| f.1);
+                self.first = Some((who, off));
+            }
+        }
+    }
+}
+
+/// Acceleration that is rarely exceeded in this take (m/s²): its 95 % quantile over what the forward pass followed.
+fn usual_acceleration(frames: &[Tracked], times_s: &[f64]) -> f64 {
+    let place = |f: usize, track: u32| {
+        let samples = &frames[f].samples;
+        let at = samples.binary_search_by_key(&track, |s| s.track).ok()?;
+        (samples[at].kind == Kind::Measured).then_some(samples[at].point)
+    };
+    let mut found = Vec::new();
+    for f in (2..frames.len()).step_by(frames.len().div_ceil(LOOKED_AT).max(1)) {
+        let (early, late) = (times_s[f - 1] - times_s[f - 2], times_s[f] - times_s[f - 1]);
+        for sample in frames[f].samples.iter().filter(|s| s.kind == Kind::Measured) {
+            if let (Some(p), Some(q)) = (place(f - 2, sample.track), place(f - 1, sample.track)) {
+                let change = (sample.point - q) / late - (q - p) / early;
+                found.push(change.norm() / (0.5 * (early + late)));
+            }
+        }
+    }
+    found.sort_unstable_by(f64::total_cmp);
+    found.get(found.len() * 19 / 20).copied().unwrap_or(0.0).max(LEAST_ACCELERATION)
 }
 
 /// Identities of trajectories that were believed at some time, ascending.
