@@ -26,7 +26,14 @@ class SceneModel:
     def describe(self) -> dict[str, Any]: ...
 
 class Tracker:
-    def __init__(self, rig: Rig, model: SceneModel | None, rate_hz: float, noise_px: float | None = None) -> None: ...
+    def __init__(
+        self,
+        rig: Rig,
+        model: SceneModel | None,
+        rate_hz: float,
+        noise_px: float | None = None,
+        paper: bool = False,
+    ) -> None: ...
     def push(self, dots: object, frame: int | None, time_s: float | None) -> dict[str, Any]: ...
     def record(self, dots: object, frames: Sequence[int], times_s: Sequence[float | None]) -> None: ...
     def recorded(self, confirmed_only: bool) -> dict[str, Any]: ...
@@ -39,7 +46,13 @@ def on_spheres(
     second: tuple[Sequence[float], float] | None = None,
 ) -> list[float]: ...
 def track_points(
-    starts: Sequence[int], point_m: Floats, sigma_m: Floats, frames: Sequence[int], rate_hz: float, confirmed_only: bool
+    starts: Sequence[int],
+    point_m: Floats,
+    sigma_m: Floats,
+    frames: Sequence[int],
+    rate_hz: float,
+    confirmed_only: bool,
+    paper: bool,
 ) -> dict[str, Any]: ...
 
 class C3d:

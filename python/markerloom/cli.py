@@ -213,6 +213,7 @@ def track(
         Path | None, typer.Option("--calibration", help="The cameras, where the take holds dots.")
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")] = ...,  # pyright: ignore[reportArgumentType]
+    method: Annotated[str, typer.Option(help="default, or paper: Lee et al. 2000 as written")] = "default",
     causal: Annotated[bool, typer.Option("--causal", help="Only what a live user would have seen.")] = False,
     frames: Frames = None,
     assignments: Annotated[Path | None, typer.Option(help="Write which dots made which point.")] = None,
@@ -241,7 +242,9 @@ def track(
     else:
         source, rig = _take_and_rig(take, calibration, calibration_units, rate_hz, output)
     with progress_bar("track", quiet) as progress:
-        points = run_track(source, rig, causal=causal, frames=wanted, noise_px=noise_px, progress=progress)
+        points = run_track(
+            source, rig, method=method, causal=causal, frames=wanted, noise_px=noise_px, progress=progress
+        )
     formats.write_points(points, output)
     if assignments is not None:
         table_file.write(points.assignments, assignments)
@@ -349,6 +352,8 @@ def _scores(result: dict[str, Any]) -> str:
     lines.append(f"(error/sigma)²    {result['sigma_ratio']:.3f} on average")
     if "trajectories" in result:
         lines.append(f"trajectories      {result['trajectories']}, {result['id_switches']} identity switches")
+        lines.append(f"MOTA, IDF1        {result['mota']:.4f}, {result['idf1']:.4f}")
+        lines.append(f"coverage          {100 * result['coverage']:.2f} % of all samples, measured or predicted")
     return "\n".join(lines)
 
 

@@ -4,7 +4,8 @@ A truth sample is *required* if at least two cameras hold an observation of it a
 at 5° to 175°. Other samples are *optional*: matched within 40 mm (or the tolerance, if larger) they count neither as
 hit nor as miss nor as ghost. Matching follows CLEAR-MOT (Bernardin & Stiefelhagen 2008): the last frame's match is
 kept while within the tolerance, the rest is an optimal assignment. Points without identity over time are assigned
-frame by frame.
+frame by frame. MOTA, MOTP and IDF1 are of required samples; coverage is the share of all truth samples for which some row,
+measured or predicted, stands.
 """
 
 from __future__ import annotations
@@ -118,6 +119,10 @@ class _Tally:
     confidence: list[tuple[float, bool]] = field(default_factory=list)
     per_frame: list[tuple[int, int, int]] = field(default_factory=list)
     tracks_of: dict[str, list[int]] = field(default_factory=dict)
+    overlap: dict[tuple[str, int], int] = field(default_factory=dict)
+    scored_points: int = 0
+    covered: int = 0
+    samples: int = 0
     predicted_errors: list[float] = field(default_factory=list)
     predicted_unmatched: int = 0
 
@@ -216,6 +221,7 @@ def _frame(
     hits = [(i, j) for i, j in pairs if required[i]]
     ghosts = [j for j in rest_points if j not in excused]
     tally.frames += 1
+    tally.samples += len(labels)
     tally.required += int(required.sum())
     tally.hits += len(hits)
     tally.ghosts += len(ghosts)
@@ -229,11 +235,18 @@ def _frame(
     tally.confidence += [(float(points.confidence[measured[j]]), False) for j in ghosts]
     for i, j in pairs:
         tally.tracks_of.setdefault(labels[i], []).append(int(points.track[measured[j]]))
+    tally.scored_points += len(measured) - len(excused) - sum(not required[i] for i, _ in pairs)
+    if points.tracked:
+        near = np.argwhere((distance <= tolerance) & required[:, None])
+        for i, j in near.tolist():
+            key = (labels[i], int(points.track[measured[j]]))
+            tally.overlap[key] = tally.overlap.get(key, 0) + 1
     if groups is not None and truth.dots is not None:
         chosen = set(groups.get(frame, []))
         wanted = [truth.dots.get((frame, labels[i]), frozenset()) for i in np.flatnonzero(required)]
         tally.exact_sets += sum(dots in chosen for dots in wanted)
-    _predicted(tally, points, truth, own, other, {i for i, _ in pairs})
+    carried = _predicted(tally, points, truth, own, other, {i for i, _ in pairs})
+    tally.covered += len(pairs) + len(spare) + carried
     return {labels[i]: int(points.track[measured[j]]) for i, j in pairs}
 
 
@@ -249,16 +262,31 @@ def _kept_pairs(
     return kept
 
 
-def _predicted(tally: _Tally, points: Points, truth: Truth, own: slice, other: slice, matched: set[int]) -> None:
-    """Rows that were not measured are judged on their own, against the markers no measured row stands for."""
+def _predicted(tally: _Tally, points: Points, truth: Truth, own: slice, other: slice, matched: set[int]) -> int:
+    """Rows that were not measured are judged on their own, against the markers no measured row stands for; how many are
+    near one."""
     rows = np.flatnonzero(points.kind[other] != MEASURED) + other.start
     if len(rows) == 0:
-        return
+        return 0
     rest = [i for i in range(own.stop - own.start) if i not in matched]
     distance = cdist(truth.points.xyz_mm[own][rest], points.xyz_mm[rows]).reshape(len(rest), len(rows))
     pairs = _assign(distance, 4 * OPTIONAL_MM)
     tally.predicted_errors += [float(distance[i, j]) for i, j in pairs]
     tally.predicted_unmatched += len(rows) - len(pairs)
+    return len(pairs)
+
+
+def _idf1(tally: _Tally) -> float:
+    """Ristani et al. 2016, eq. 9–11: one identity per marker, chosen to explain the most; required samples only."""
+    if not tally.overlap:
+        return 0.0
+    labels = sorted({label for label, _ in tally.overlap})
+    tracks = sorted({track for _, track in tally.overlap})
+    matrix = np.zeros((len(labels), len(tracks)))
+    for (label, track), count in tally.overlap.items():
+        matrix[labels.index(label), tracks.index(track)] = count
+    rows, columns = linear_sum_assignment(-matrix)
+    return float(2.0 * matrix[rows, columns].sum() / max(tally.required + tally.scored_points, 1))
 
 
 def _aligned(points: Points, truth: Points, tolerance: float) -> Array:
@@ -322,6 +350,11 @@ def _result(tally: _Tally, points: Points, tolerance: float, has_sets: bool) -> 
         result["trajectories"] = len(measured_tracks)
         result["fragments_per_marker"] = float(np.mean(fragments)) if fragments else 0.0
         result["id_switches"] = sum(_switches(t) for t in tally.tracks_of.values())
+        errors = tally.required - tally.hits + tally.ghosts + result["id_switches"]
+        result["mota"] = 1.0 - errors / required
+        result["motp_mm"] = float(np.mean(tally.errors)) if tally.errors else float("nan")
+        result["idf1"] = _idf1(tally)
+        result["coverage"] = tally.covered / max(tally.samples, 1)
     if np.any(points.kind != MEASURED):
         result["predicted_error_mm"] = statistics(np.array(tally.predicted_errors))
         result["predicted_unmatched_per_frame"] = tally.predicted_unmatched / frames

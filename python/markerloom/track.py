@@ -31,6 +31,8 @@ from markerloom.track_points import track_points
 Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 
+TRACK_METHODS = ("default", "paper")
+
 
 @dataclass(frozen=True)
 class TrackedFrame:
@@ -120,6 +122,7 @@ def track(
     rig: Rig | None = None,
     *,
     rate_hz: float | None = None,
+    method: str = "default",
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
     noise_px: float | None = None,
@@ -127,7 +130,8 @@ def track(
 ) -> Reconstruction:
     """Follow every marker of a take through time: from dots and their ``rig``, or from anonymous or broken points.
 
-    ``rate_hz``: frame rate where the observations do not state it. ``causal``: exactly what a live user would have
+    ``rate_hz``: frame rate where the observations do not state it. ``method``: ``default``, or ``paper`` for the whole
+    system of Lee et al. 2000 as written (causal by nature), to compare with. ``causal``: exactly what a live user would have
     seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
     ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
     ``progress(done, total)`` is called now and then.
@@ -135,29 +139,31 @@ def track(
     Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
     when the cameras cannot give a depth.
     """
+    if method not in TRACK_METHODS:
+        raise InputError(f"method '{method}': known are {', '.join(TRACK_METHODS)}")
     if isinstance(take, Points):
-        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames)
+        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames, method=method)
     if rig is None:
         raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
     observations = take if frames is None else take.select(*frames)
     observations = replace(observations, rate_hz=_rate(observations, rate_hz))
     clock = time.perf_counter()
     stages = {}
-    if causal:
+    if causal and method == "default":
         dots = _as_pushed(observations, rig)
         notes = list(dots.warnings)
         tracker = _core.Tracker(rig.core, None, observations.rate_hz or 0.0, noise_px)
     else:
         rig, dots, notes = usable_dots(observations, rig)
         model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
-        tracker = _core.Tracker(rig.core, model, observations.rate_hz or 0.0)
+        tracker = _core.Tracker(rig.core, model, observations.rate_hz or 0.0, None, method == "paper")
     stages["estimate"] = time.perf_counter() - clock
     _record(tracker, dots, _times_s(observations, dots), progress)
     stages["track"] = time.perf_counter() - clock - stages["estimate"]
     solved = tracker.recorded(causal)
     stages["repair"] = time.perf_counter() - clock - stages["estimate"] - stages["track"]
     solved["sizes"] = np.diff(solved.pop("dot_starts"))
-    report = _report(solved, dots, rig, tracker, notes, causal)
+    report = _report(solved, dots, rig, tracker, notes, causal, method)
     report["timing"] = timing(time.perf_counter() - clock, tracker.frame_ms(), stages)
     return as_points(solved, dots, rig, observations, report)
 
@@ -214,7 +220,13 @@ def _record(tracker: _core.Tracker, dots: MatchedDots, times_s: list[float | Non
 
 
 def _report(
-    solved: dict[str, Any], dots: MatchedDots, rig: Rig, tracker: _core.Tracker, notes: list[str], causal: bool
+    solved: dict[str, Any],
+    dots: MatchedDots,
+    rig: Rig,
+    tracker: _core.Tracker,
+    notes: list[str],
+    causal: bool,
+    method: str,
 ) -> dict[str, Any]:
     frames = max(len(dots.frames), 1)
     measured = solved["kind"] == KINDS.index("measured")
@@ -228,8 +240,8 @@ def _report(
     return {
         "frames": len(dots.frames),
         "warnings": notes,
-        "method": "default",
-        "causal": causal,
+        "method": method,
+        "causal": causal or method == "paper",
         "cameras": rig.ids,
         "points_per_frame": float(measured.sum() / frames),
         "predicted_per_frame": float((~measured).sum() / frames),

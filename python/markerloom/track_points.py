@@ -29,12 +29,13 @@ def track_points(
     rate_hz: float | None = None,
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
+    method: str = "default",
 ) -> Reconstruction:
     """Follow every marker of a take of points through time; their names and trajectories are not looked at.
 
     Only measured rows count; positions that were predicted, filled or edited are found anew. Where the take does not
-    state the uncertainty of its points, it is estimated from how unevenly they move. ``causal`` and ``frames`` as in
-    ``track``. Raises ``InputError`` where there is no measured point or no frame rate.
+    state the uncertainty of its points, it is estimated from how unevenly they move. ``causal``, ``frames`` and
+    ``method`` as in ``track``. Raises ``InputError`` where there is no measured point or no frame rate.
     """
     clock = time.perf_counter()
     if frames is not None:
@@ -54,21 +55,21 @@ def track_points(
     jumps_mm = _jumps_mm(take)
     noise_mm = jumps_mm
     followed = np.where(stated, np.maximum(sigma_mm, jumps_mm), jumps_mm)
-    if not causal and not stated.all():
-        first = _solve(take, order, followed, rate, causal=True)
+    if method == "default" and not causal and not stated.all():
+        first = _solve(take, order, followed, rate, causal=True, method=method)
         seen = np.diff(first["dot_starts"]) == 1
         xyz_mm = take.xyz_mm[order][first["dots"]]
         noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], xyz_mm, jumps_mm)
         followed = np.maximum(followed, np.where(stated, 0.0, noise_mm))
-    solved = _solve(take, order, followed, rate, causal)
+    solved = _solve(take, order, followed, rate, causal=causal, method=method)
     tracked = _as_points(solved, take, order, rate, np.where(stated, sigma_mm, noise_mm))
-    report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal)
+    report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal, method)
     report["timing"] = {"seconds": time.perf_counter() - clock}
     return replace(tracked, report=report)
 
 
 def _solve(
-    take: Points, order: NDArray[np.int64], sigma_mm: NDArray[np.floating[Any]], rate_hz: float, causal: bool
+    take: Points, order: NDArray[np.int64], sigma_mm: Array, rate_hz: float, *, causal: bool, method: str
 ) -> dict[str, Any]:
     starts = np.searchsorted(take.frame[order], np.append(take.frames, take.frames[-1] + 1))
     return _core.track_points(
@@ -78,6 +79,7 @@ def _solve(
         take.frames.tolist(),
         rate_hz,
         causal,
+        method == "paper",
     )
 
 
@@ -144,12 +146,13 @@ def _as_points(
     )
 
 
-def _report(tracked: Points, noise_mm: float, notes: list[str], causal: bool) -> dict[str, Any]:
+def _report(tracked: Points, noise_mm: float, notes: list[str], causal: bool, method: str) -> dict[str, Any]:
     frames = max(len(tracked.frames), 1)
     measured = tracked.kind == KINDS.index("measured")
     return {
         "frames": len(tracked.frames),
         "warnings": notes,
+        "method": method,
         "causal": causal,
         "points_per_frame": float(measured.sum() / frames),
         "predicted_per_frame": float((~measured).sum() / frames),

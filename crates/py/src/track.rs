@@ -5,16 +5,47 @@ use crate::errors::InputError;
 use crate::reconstruct::PyModel;
 use crate::rig::PyRig;
 use markerloom_core::correspond::frame::Dot;
+use markerloom_core::correspond::scene::Scene;
+use markerloom_core::track::paper::{PaperOptions, PaperTracker};
 use markerloom_core::track::repair::repair;
-use markerloom_core::track::{Kind, Moment, TrackOptions, Tracked, Tracker};
+use markerloom_core::track::{Kind, Moment, TrackError, TrackOptions, Tracked, Tracker};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+/// Who follows the markers.
+enum Engine {
+    Default(Box<Tracker>),
+    Paper(Box<PaperTracker>),
+}
+
+impl Engine {
+    fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+        match self {
+            Self::Default(tracker) => tracker.push(dots, moment),
+            Self::Paper(tracker) => tracker.push(dots, moment),
+        }
+    }
+
+    fn time_s(&self) -> f64 {
+        match self {
+            Self::Default(tracker) => tracker.time_s(),
+            Self::Paper(tracker) => tracker.time_s(),
+        }
+    }
+
+    fn scene(&self) -> &Scene {
+        match self {
+            Self::Default(tracker) => tracker.scene(),
+            Self::Paper(tracker) => tracker.scene(),
+        }
+    }
+}
+
 /// A tracker, and the frames it has recorded.
 #[pyclass(name = "Tracker")]
 pub struct PyTracker {
-    tracker: Tracker,
+    tracker: Engine,
     cameras: usize,
     recorded: Vec<Tracked>,
     starts: Vec<usize>,
@@ -26,14 +57,17 @@ pub struct PyTracker {
 #[pymethods]
 impl PyTracker {
     #[new]
-    #[pyo3(signature = (rig, model, rate_hz, noise_px=None))]
-    fn new(rig: &PyRig, model: Option<&PyModel>, rate_hz: f64, noise_px: Option<f64>) -> PyResult<Self> {
+    #[pyo3(signature = (rig, model, rate_hz, noise_px=None, paper=false))]
+    fn new(rig: &PyRig, model: Option<&PyModel>, rate_hz: f64, noise_px: Option<f64>, paper: bool) -> PyResult<Self> {
         let options = TrackOptions::default();
-        let tracker = match model {
-            Some(model) => Tracker::new(&rig.inner, &model.inner, rate_hz, options),
-            None => Tracker::learning(&rig.inner, noise_px, rate_hz, options),
+        let default = |tracker| Engine::Default(Box::new(tracker));
+        let made = match model {
+            Some(model) if paper => PaperTracker::new(&rig.inner, &model.inner, rate_hz, PaperOptions::default())
+                .map(|tracker| Engine::Paper(Box::new(tracker))),
+            Some(model) => Tracker::new(&rig.inner, &model.inner, rate_hz, options).map(default),
+            None => Tracker::learning(&rig.inner, noise_px, rate_hz, options).map(default),
         };
-        let tracker = tracker.map_err(|e| InputError::new_err(e.to_string()))?;
+        let tracker = made.map_err(|e| InputError::new_err(e.to_string()))?;
         Ok(Self {
             tracker,
             cameras: rig.inner.cameras.len(),
@@ -84,7 +118,7 @@ impl PyTracker {
             }
             Ok(())
         })
-        .map_err(|e: markerloom_core::track::TrackError| InputError::new_err(e.to_string()))
+        .map_err(|e: TrackError| InputError::new_err(e.to_string()))
     }
 
     /// How long each recorded frame took (ms).
@@ -99,7 +133,7 @@ impl PyTracker {
 
     /// What was recorded. `confirmed_only`: just what a live user saw.
     fn recorded<'py>(&self, py: Python<'py>, confirmed_only: bool) -> PyResult<Bound<'py, PyDict>> {
-        if confirmed_only {
+        if confirmed_only || matches!(self.tracker, Engine::Paper(_)) {
             return arrays(py, &self.recorded, &self.starts, true);
         }
         let kept = py.detach(|| {

@@ -2,6 +2,7 @@
 
 use crate::errors::InputError;
 use crate::track::arrays;
+use markerloom_core::track::paper::{PaperOptions, PaperPointTracker};
 use markerloom_core::track::points::{MeasuredPoint, PointTracker};
 use markerloom_core::track::repair::repair_points;
 use markerloom_core::track::{Moment, TrackOptions, Tracked};
@@ -11,8 +12,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// Follows a take of points: `starts` (frames + 1) are the first rows of each frame, `point_m` (n, 3), `sigma_m` (n,)
-/// per axis. `confirmed_only`: just what a live user saw.
+/// per axis. `confirmed_only`: just what a live user saw; `paper`: the seed paper's tracking.
 #[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "each one is a keyword")]
 pub fn track_points<'py>(
     py: Python<'py>,
     starts: Vec<usize>,
@@ -21,6 +23,7 @@ pub fn track_points<'py>(
     frames: Vec<i64>,
     rate_hz: f64,
     confirmed_only: bool,
+    paper: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     let sigma_m = sigma_m.as_slice()?;
     let rows = point_m.as_array();
@@ -37,15 +40,17 @@ pub fn track_points<'py>(
     let all: Vec<MeasuredPoint> = (0..rows.nrows()).map(point).collect();
     let tracked = py
         .detach(|| {
-            let mut tracker = PointTracker::new(rate_hz, TrackOptions::default())?;
             let (mut recorded, mut times_s): (Vec<Tracked>, Vec<f64>) = (Vec::new(), Vec::new());
+            let mut default = PointTracker::new(rate_hz, TrackOptions::default())?;
+            let mut as_written = PaperPointTracker::new(rate_hz, PaperOptions::default())?;
             for (range, &frame) in starts.windows(2).zip(&frames) {
                 let moment = Moment { frame: Some(frame), time_s: None };
-                recorded.push(tracker.push(&all[range[0]..range[1]], moment)?);
-                times_s.push(tracker.time_s());
+                let points = &all[range[0]..range[1]];
+                recorded.push(if paper { as_written.push(points, moment) } else { default.push(points, moment) }?);
+                times_s.push(if paper { as_written.time_s() } else { default.time_s() });
             }
             let repair = |r: Vec<Tracked>| repair_points(&TrackOptions::default(), &r, &times_s);
-            Ok(if confirmed_only { recorded } else { repair(recorded) })
+            Ok(if confirmed_only || paper { recorded } else { repair(recorded) })
         })
         .map_err(|e: markerloom_core::track::TimeError| InputError::new_err(e.to_string()))?;
     arrays(py, &tracked, &starts, confirmed_only)

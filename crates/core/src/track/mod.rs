@@ -21,6 +21,7 @@ pub mod filter;
 mod frame;
 mod locate;
 mod marker;
+pub mod paper;
 pub mod points;
 mod rematch;
 pub mod repair;
