@@ -15,6 +15,7 @@ from markerloom.evaluate import (
     truth_from_observations,
     truth_without_views,
 )
+from markerloom.explain import CameraView, Explanation, TrackedTake, explain
 from markerloom.formats import read_observations, read_points, write_points
 from markerloom.formats.calib_toml import write as write_calibration
 from markerloom.hidden import place_on_spheres
@@ -25,11 +26,14 @@ from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Lens, Mask, Rig
 from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
 from markerloom.track import TrackedFrame, Tracker, track
+from markerloom.track_page import save_track_page
 from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
     "Camera",
+    "CameraView",
     "Demo",
+    "Explanation",
     "Lens",
     "Mask",
     "Observations",
@@ -39,6 +43,7 @@ __all__ = [
     "Scene",
     "SimulatedTake",
     "TrackedFrame",
+    "TrackedTake",
     "Tracker",
     "Triangulated",
     "Truth",
@@ -46,6 +51,7 @@ __all__ = [
     "convert",
     "demo",
     "evaluate",
+    "explain",
     "inspect",
     "make_scene",
     "place_on_spheres",
@@ -54,6 +60,7 @@ __all__ = [
     "read_points",
     "reconstruct",
     "save",
+    "save_track_page",
     "simulate",
     "track",
     "triangulate",

@@ -35,6 +35,7 @@ from markerloom.rig import Rig
 from markerloom.simulate import PRESETS, make_scene, save
 from markerloom.simulate import simulate as run_simulate
 from markerloom.track import track as run_track
+from markerloom.track_page import save_track_page
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 out = Console(highlight=False)
@@ -220,6 +221,9 @@ def track(
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the input has none.")] = None,
     noise_px: Annotated[float | None, typer.Option(help="Noise of the dots, where it is known.")] = None,
     calibration_units: Units = "m",
+    page: Annotated[
+        Path | None, typer.Option("--page", help="Write a page with pictures.", metavar="FILE.html")
+    ] = None,
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
@@ -248,6 +252,8 @@ def track(
     formats.write_points(points, output)
     if assignments is not None:
         table_file.write(points.assignments, assignments)
+    if page is not None:
+        save_track_page(points, page)
     result = points.report
     warn(quiet, result["warnings"])
     residual = f"residual {result['residual_px']['median']:.3f} px" if rig else f"noise {result['noise_mm']:.2f} mm"

@@ -4,8 +4,8 @@ A truth sample is *required* if at least two cameras hold an observation of it a
 at 5° to 175°. Other samples are *optional*: matched within 40 mm (or the tolerance, if larger) they count neither as
 hit nor as miss nor as ghost. Matching follows CLEAR-MOT (Bernardin & Stiefelhagen 2008): the last frame's match is
 kept while within the tolerance, the rest is an optimal assignment. Points without identity over time are assigned
-frame by frame. MOTA, MOTP and IDF1 are of required samples; coverage is the share of all truth samples for which some row,
-measured or predicted, stands.
+frame by frame. MOTA, MOTP and IDF1 are of required samples; coverage is the share of all truth samples for
+which some row, measured or predicted, stands.
 """
 
 from __future__ import annotations

@@ -17,9 +17,7 @@ from markerloom.errors import InputError
 Array = NDArray[np.floating[Any]]
 
 
-def place_on_spheres(
-    neighbours_mm: ArrayLike, distances_mm: Sequence[float], predicted_mm: ArrayLike
-) -> Array:
+def place_on_spheres(neighbours_mm: ArrayLike, distances_mm: Sequence[float], predicted_mm: ArrayLike) -> Array:
     """Place (3,) in mm of a hidden marker by its distances to one visible marker or two.
 
     ``neighbours_mm``: (1, 3) or (2, 3). Of the points at these distances, the one nearest to ``predicted_mm``; where

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 
@@ -156,4 +157,61 @@ def over_time(
     first, last = (frames[0], frames[-1]) if len(frames) else (0, 0)
     body += [text(left, height - 4, f"frame {first}", size=10, color=GREY)]
     body += [text(width - 16, height - 4, f"{last}", size=10, color=GREY, anchor="end")]
+    return svg(width, height, body, title)
+
+
+def timeline(
+    rows: Sequence[tuple[str, np.ndarray, np.ndarray]], frames: tuple[int, int], title: str, width: int = 760
+) -> str:
+    """One row per trajectory: a name, frames (n,) and which of them are measured (n,); others are carried."""
+    tall = 11 if len(rows) <= 80 else 4
+    height, left = tall * len(rows) + 56, 60
+    first, last = frames
+    step = (width - left - 16) / max(last + 1 - first, 1)
+    body = [f"<rect width='{width}' height='{height}' fill='{PAPER}'/>", text(8, 16, title, size=13)]
+    for k, (color, name) in enumerate([(BLUE, "measured"), (AMBER, "predicted")]):
+        body.append(f"<rect x='{width - 190 + 90 * k}' y='8' width='10' height='9' fill='{color}'/>")
+        body.append(text(width - 176 + 90 * k, 16, name, size=10, color=GREY))
+    for k, (name, own, measured) in enumerate(rows):
+        y = 28 + tall * k
+        if tall > 8:
+            body.append(text(left - 6, y + 8, name, size=8, color=GREY, anchor="end"))
+        for kind, color in [(True, BLUE), (False, AMBER)]:
+            for start, stop in _runs(own[measured == kind]):
+                x, length = left + (start - first) * step, (stop + 1 - start) * step
+                body.append(
+                    f"<rect x='{x:.2f}' y='{y}' width='{max(length, 0.6):.2f}' height='{tall - 2}' fill='{color}'/>"
+                )
+    body.append(text(left, height - 8, f"frame {first}", size=10, color=GREY))
+    body.append(text(width - 16, height - 8, f"{last}", size=10, color=GREY, anchor="end"))
+    return svg(width, height, body, title)
+
+
+def _runs(frames: np.ndarray) -> list[tuple[int, int]]:
+    """First and last of each stretch without a break."""
+    if len(frames) == 0:
+        return []
+    breaks = np.flatnonzero(np.diff(frames) > 1)
+    return list(
+        zip(frames[np.r_[0, breaks + 1]].tolist(), frames[np.r_[breaks, len(frames) - 1]].tolist(), strict=True)
+    )
+
+
+def turn(xyz_mm: np.ndarray, measured: np.ndarray, frames: np.ndarray, title: str, width: int = 760) -> str:
+    """A path (n, 3) seen in the plane in which it turns, a dot per frame; predicted places are hollow."""
+    height = 320
+    centred = xyz_mm - xyz_mm.mean(axis=0)
+    flat = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = min((width - 80) / max(high[0] - low[0], 1e-9), (height - 100) / max(high[1] - low[1], 1e-9))
+    middle = np.array([width / 2, 32 + (height - 60) / 2])
+    at = (flat - (low + high) / 2) * scale + middle
+    body = [f"<rect width='{width}' height='{height}' fill='{PAPER}'/>", text(8, 16, title, size=13)]
+    body += [line(a, b, GRID, 1.5) for a, b in pairwise(at)]
+    body += [dot(x, y, 3.2, BLUE if m else AMBER, hollow=not m) for (x, y), m in zip(at, measured, strict=True)]
+    for k in (0, len(at) - 1):
+        body.append(text(at[k][0] + 7, at[k][1] - 6, f"frame {frames[k]}", size=10, color=GREY))
+    length = 10.0 ** np.floor(np.log10(max(150.0 / scale, 1e-6)))
+    body.append(line((24, height - 16), (24 + length * scale, height - 16), INK, 2))
+    body.append(text(30 + length * scale, height - 12, f"{length:g} mm", size=10, color=GREY))
     return svg(width, height, body, title)

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from markerloom import _core
+from markerloom.bumped import bumped_cameras
 from markerloom.errors import InputError
+from markerloom.explain import Seen, TrackedTake, gaps
 from markerloom.observations import DotArrays, MatchedDots, Observations, match
 from markerloom.points import KINDS, Points
 from markerloom.reconstruct import (
@@ -131,8 +133,8 @@ def track(
     """Follow every marker of a take through time: from dots and their ``rig``, or from anonymous or broken points.
 
     ``rate_hz``: frame rate where the observations do not state it. ``method``: ``default``, or ``paper`` for the whole
-    system of Lee et al. 2000 as written (causal by nature), to compare with. ``causal``: exactly what a live user would have
-    seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
+    system of Lee et al. 2000 as written (causal by nature), to compare with. ``causal``: exactly what a live user would
+    have seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
     ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
     ``progress(done, total)`` is called now and then.
 
@@ -164,8 +166,24 @@ def track(
     stages["repair"] = time.perf_counter() - clock - stages["estimate"] - stages["track"]
     solved["sizes"] = np.diff(solved.pop("dot_starts"))
     report = _report(solved, dots, rig, tracker, notes, causal, method)
+    owner = np.full(len(dots.camera), -1, np.int64)
+    owner[solved["dots"]] = np.repeat(solved["track"], solved["sizes"])
+    seen = Seen(rig, dots, owner, tuple(report["noise_px"].values()))
+    tracked = TrackedTake.with_dots(as_points(solved, dots, rig, observations, report), seen)
+    report["gaps"] = gaps(tracked)
+    report["bumped_cameras"] = bumped_cameras(tracked)
+    report["warnings"] += [_bump_warning(bump) for bump in report["bumped_cameras"]]
+    stages["explain"] = time.perf_counter() - clock - sum(stages.values())
     report["timing"] = timing(time.perf_counter() - clock, tracker.frame_ms(), stages)
-    return as_points(solved, dots, rig, observations, report)
+    return tracked
+
+
+def _bump_warning(bump: dict[str, Any]) -> str:
+    x, y = bump["shift_px"]
+    return (
+        f"camera {bump['camera']} was moved at frame {bump['frame']}: from there on its dots lie "
+        f"({x:+.2f}, {y:+.2f}) px beside where the other cameras say; calibrate it anew"
+    )
 
 
 def _rate(observations: Observations, rate_hz: float | None) -> float:
