@@ -69,17 +69,8 @@ pub struct Chain {
     pub length: usize,
 }
 
-/// A tracklet that fits another chain better, and the tracklets of that chain that come back for it.
-struct Move {
-    gain: f64,
-    own: usize,
-    other: usize,
-    tracklet: usize,
-    back: Vec<usize>,
-}
-
 /// A witness: another chain, and the distance to it.
-struct Link {
+pub(super) struct Link {
     other: usize,
     mean: f64,
     /// Spread seen (m), without the positions' noise.
@@ -135,33 +126,23 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
     chains
 }
 
-/// Every tracklet is held against the profiles of all chains; where two chains explain each other's tracklets of one
-/// stretch of time better, these are exchanged. Whether anything changed.
+/// Every two chains are held against each other's profiles (`exchange.rs`); those exchanges that gain the most are made.
+/// Whether anything changed.
 fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    use rayon::prelude::*;
     let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
-    let scene = Scene { tracklets, times_s, chains, by_frame };
-    let profiles: Vec<Vec<Link>> = (0..chains.len()).into_par_iter().map(|c| scene.profile(c)).collect();
-    let seen: Vec<Vec<Distances>> = (0..tracklets.len()).into_par_iter().map(|t| scene.distances_of(t)).collect();
-    let mut moves: Vec<Move> =
-        (0..scene.chains.len()).into_par_iter().flat_map_iter(|own| scene.moves_from(own, &profiles, &seen)).collect();
-    moves.sort_by(|a, b| {
-        b.gain.total_cmp(&a.gain).then((a.own, a.other, a.tracklet).cmp(&(b.own, b.other, b.tracklet)))
-    });
+    let mut swaps = Scene { tracklets, times_s, chains, by_frame }.swaps();
+    swaps.retain(|s| s.gain > WORTH_EXCHANGING);
+    swaps.sort_by(|a, b| b.gain.total_cmp(&a.gain).then((a.one, a.other).cmp(&(b.one, b.other))));
     let mut touched = vec![false; chains.len()];
     let mut changed = false;
-    for Move { own, other, tracklet: t, back, .. } in moves {
-        if touched[own] || touched[other] {
+    for swap in swaps {
+        if touched[swap.one] || touched[swap.other] {
             continue;
         }
-        (touched[own], touched[other], changed) = (true, true, true);
-        chains[own].tracklets.retain(|&x| x != t);
-        chains[other].tracklets.retain(|x| !back.contains(x));
-        chains[other].tracklets.push(t);
-        chains[own].tracklets.extend(back);
-        for c in [own, other] {
-            chains[c].tracklets.sort_unstable_by_key(|&x| tracklets[x].first);
-            chains[c].length = chains[c].tracklets.iter().map(|&x| tracklets[x].measured).sum();
+        (touched[swap.one], touched[swap.other], changed) = (true, true, true);
+        for (c, own) in [(swap.one, swap.ones), (swap.other, swap.others)] {
+            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
+            chains[c].tracklets = own;
         }
     }
     chains.retain(|c| !c.tracklets.is_empty());
@@ -262,12 +243,12 @@ fn by_frame_with(
 }
 
 /// Distances to other chains in one frame, by ascending chain.
-type Distances = Vec<(usize, f64)>;
+pub(super) type Distances = Vec<(usize, f64)>;
 
-struct Scene<'a> {
-    tracklets: &'a [Tracklet],
+pub(super) struct Scene<'a> {
+    pub(super) tracklets: &'a [Tracklet],
     times_s: &'a [f64],
-    chains: &'a [Chain],
+    pub(super) chains: &'a [Chain],
     by_frame: Vec<Vec<(usize, Vector3<f64>)>>,
 }
 
@@ -326,7 +307,7 @@ impl Scene<'_> {
     }
 
     /// A chain's distances to others, the most constant first.
-    fn profile(&self, chain: usize) -> Vec<Link> {
+    pub(super) fn profile(&self, chain: usize) -> Vec<Link> {
         let mut sums: std::collections::BTreeMap<usize, [f64; 3]> = std::collections::BTreeMap::new();
         for (frame, place) in self.samples(chain, PROFILE_FRAMES) {
             for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| *o != chain) {
@@ -372,70 +353,14 @@ impl Scene<'_> {
         self.samples(chain, FRAMES).into_iter().map(to_all).collect()
     }
 
-    /// Exchanges of one chain's tracklets that pay.
-    fn moves_from(&self, own: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Vec<Move> {
-        let mut moves = Vec::new();
-        for &tracklet in &self.chains[own].tracklets {
-            let here = Self::links(&profiles[own], &seen[tracklet]);
-            for other in (0..self.chains.len()).filter(|&c| c != own) {
-                let there = Self::links(&profiles[other], &seen[tracklet]);
-                if there <= here {
-                    continue;
-                }
-                let back = self.overlapping(other, tracklet);
-                if back.iter().any(|&u| self.overlapping(own, u).iter().any(|&v| v != tracklet)) {
-                    continue;
-                }
-                let returned =
-                    |u: &usize| Self::links(&profiles[own], &seen[*u]) - Self::links(&profiles[other], &seen[*u]);
-                let links = there - here + back.iter().map(returned).sum::<f64>();
-                let Some(motion) = self.motion_gain(own, other, tracklet, &back) else { continue };
-                if links + motion > WORTH_EXCHANGING {
-                    moves.push(Move { gain: links + motion, own, other, tracklet, back });
-                }
-            }
-        }
-        moves
-    }
-
     /// Distances of one tracklet to all chains.
-    fn distances_of(&self, tracklet: usize) -> Vec<Distances> {
+    pub(super) fn distances_of(&self, tracklet: usize) -> Vec<Distances> {
         let one = &self.tracklets[tracklet];
         let to_all = |frame: usize| {
             let place = one.at(frame)?;
             Some(self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect())
         };
         one.frames(FRAMES).into_iter().filter_map(to_all).collect()
-    }
-
-    /// Tracklets of a chain that overlap one in time.
-    fn overlapping(&self, chain: usize, tracklet: usize) -> Vec<usize> {
-        let one = &self.tracklets[tracklet];
-        let overlaps = |u: &usize| {
-            let other = &self.tracklets[*u];
-            other.first <= one.last() && one.first <= other.last()
-        };
-        self.chains[chain].tracklets.iter().copied().filter(overlaps).collect()
-    }
-
-    /// What the evidence of motion gains when a tracklet changes chains and others come back for it.
-    fn motion_gain(&self, own: usize, other: usize, tracklet: usize, back: &[usize]) -> Option<f64> {
-        let without = |chain: usize, out: &[usize], add: &[usize]| {
-            let mut sequence: Vec<usize> = self.chains[chain]
-                .tracklets
-                .iter()
-                .copied()
-                .filter(|t| !out.contains(t))
-                .chain(add.iter().copied())
-                .collect();
-            sequence.sort_unstable_by_key(|&t| self.tracklets[t].first);
-            sequence
-        };
-        let before =
-            self.path_evidence(&self.chains[own].tracklets)? + self.path_evidence(&self.chains[other].tracklets)?;
-        let after = self.path_evidence(&without(own, &[tracklet], back))?
-            + self.path_evidence(&without(other, back, &[tracklet]))?;
-        Some(after - before)
     }
 
     /// Evidence of motion along tracklets in order of time; `None` if they overlap or nothing moves so fast.
@@ -453,8 +378,13 @@ impl Scene<'_> {
 
     /// Evidence of the distances: those of one chain under the profile of another.
     fn links(profile: &[Link], samples: &[Distances]) -> f64 {
+        Self::links_beside(profile, samples, [usize::MAX; 2])
+    }
+
+    /// The same without what two chains say.
+    pub(super) fn links_beside(profile: &[Link], samples: &[Distances], two: [usize; 2]) -> f64 {
         let (mut total, mut asked) = (0.0, 0);
-        for link in profile {
+        for link in profile.iter().filter(|l| !two.contains(&l.other)) {
             let (mut sum, mut n) = (0.0, 0.0);
             for distances in samples {
                 if let Ok(at) = distances.binary_search_by_key(&link.other, |d| d.0) {
@@ -484,7 +414,7 @@ impl Scene<'_> {
     }
 
     /// Evidence that one tracklet goes on as another, by their places and velocities at the gap.
-    fn bridge(&self, before: &Tracklet, after: &Tracklet) -> Option<f64> {
+    pub(super) fn bridge(&self, before: &Tracklet, after: &Tracklet) -> Option<f64> {
         let gap_s = self.times_s[after.first] - self.times_s[before.last()];
         let (p, q) = (before.at(before.last())?, after.at(after.first)?);
         if (q - p).norm() > FASTEST * gap_s + 0.05 {

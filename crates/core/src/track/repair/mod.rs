@@ -6,6 +6,7 @@
 //! 4. [`carry`]: what stays hidden is predicted from both ends of each gap.
 
 pub mod carry;
+mod exchange;
 pub mod extend;
 pub mod join;
 pub mod joints;
