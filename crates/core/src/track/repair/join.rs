@@ -191,24 +191,30 @@ fn best_pairs(pairs: &[(usize, usize, f64)], in_order: impl Fn(usize, usize) -> 
     found.iter().enumerate().filter_map(|(r, c)| c.and_then(|c| costs.get(&(r, c))).map(|&i| pairs[i])).collect()
 }
 
-/// Joint centres by the chains that are long enough to tell.
+/// Joint centres by the chains that are long enough to tell; what turns about them are tracklets, because those of a limb
+/// may still be in the wrong chains.
 fn joints_of(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Path> {
-    let mut order: Vec<&Chain> = chains.iter().filter(|c| c.length >= SHORTEST_FOR_JOINTS).collect();
-    order.sort_by_key(|c| (std::cmp::Reverse(c.length), c.tracklets[0]));
-    order.truncate(MOST_FOR_JOINTS);
-    let (mut paths, mut noise) = (Vec::new(), Vec::new());
-    for chain in order {
+    let path_of = |own: &[usize], length: usize| {
         let mut path = vec![None; frames];
         let mut variance = 0.0;
-        for &t in &chain.tracklets {
+        for &t in own {
             let one = &tracklets[t];
             path[one.first..=one.last()].copy_from_slice(&one.places);
             variance += one.variance;
         }
-        paths.push(path);
-        noise.push((variance / chain.length as f64).sqrt());
-    }
-    joint_centers(&paths, &noise)
+        (path, (variance / length as f64).sqrt())
+    };
+    let mut order: Vec<&Chain> = chains.iter().filter(|c| c.length >= SHORTEST_FOR_JOINTS).collect();
+    order.sort_by_key(|c| (std::cmp::Reverse(c.length), c.tracklets[0]));
+    order.truncate(MOST_FOR_JOINTS);
+    let (paths, noise): (Vec<Path>, Vec<f64>) = order.iter().map(|c| path_of(&c.tracklets, c.length)).unzip();
+    let mut long: Vec<usize> =
+        (0..tracklets.len()).filter(|&t| tracklets[t].measured >= SHORTEST_FOR_JOINTS).collect();
+    long.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].measured), t));
+    long.truncate(MOST_FOR_JOINTS);
+    let (pieces, pieces_noise): (Vec<Path>, Vec<f64>) =
+        long.iter().map(|&t| path_of(&[t], tracklets[t].measured)).unzip();
+    joint_centers(&paths, &noise, &pieces, &pieces_noise)
 }
 
 /// Logarithm of a heavy-tailed density of an offset over that of another marker, within bounds.

@@ -36,8 +36,9 @@ const REPEATS: f64 = 5.0;
 /// Chains of joints that are followed: shoulder, elbow, wrist.
 const LEVELS: usize = 3;
 
-/// Paths of joint centres. `noise_m`: standard deviation of each marker's places per axis.
-pub fn joint_centers(markers: &[Path], noise_m: &[f64]) -> Vec<Path> {
+/// Paths of joint centres. `markers` make the frames of reference; `pieces` are what turns about their joints: parts of
+/// paths, each beyond doubt of one marker, whichever that is. `noise_m`, `pieces_noise_m`: standard deviations per axis.
+pub fn joint_centers(markers: &[Path], noise_m: &[f64], pieces: &[Path], pieces_noise_m: &[f64]) -> Vec<Path> {
     let mut paths: Vec<Path> = markers.to_vec();
     let mut noise = noise_m.to_vec();
     let mut used_frames: Vec<Vec<usize>> = Vec::new();
@@ -47,7 +48,9 @@ pub fn joint_centers(markers: &[Path], noise_m: &[f64]) -> Vec<Path> {
             if used_frames.contains(&members) {
                 continue;
             }
-            let centers = centers_about(&paths, &noise, &members, known);
+            let joints = (markers.len()..known).filter(|j| !members.contains(j)).map(|j| (&paths[j], noise[j]));
+            let turning = pieces.iter().zip(pieces_noise_m.iter().copied()).chain(joints);
+            let centers = centers_about(&paths, &members, turning);
             used_frames.push(members);
             for center in centers {
                 if !paths[markers.len()..].iter().any(|known| same(known, &center)) {
@@ -181,16 +184,20 @@ fn second_extent(points: &[Vector3<f64>]) -> f64 {
     (values[1].max(0.0) / n).sqrt()
 }
 
-/// Joint centres of the markers that turn about this frame of reference. The arcs that turn
-/// about one centre are fitted together.
-fn centers_about(paths: &[Path], noise: &[f64], members: &[usize], known: usize) -> Vec<Path> {
+/// Joint centres of what turns about this frame of reference (paths with their noise). The arcs that turn about one centre
+/// are fitted together.
+fn centers_about<'a>(
+    paths: &[Path],
+    members: &[usize],
+    turning: impl Iterator<Item = (&'a Path, f64)>,
+) -> Vec<Path> {
     let Some(poses) = poses(paths, members) else { return Vec::new() };
     let mut arcs: Vec<Arc> = Vec::new();
-    for marker in (0..known).filter(|m| !members.contains(m)) {
+    for (path, noise) in turning {
         let places: Vec<Vector3<f64>> = sample(poses.len())
-            .filter_map(|f| poses[f].and_then(|(turn, center)| paths[marker][f].map(|p| turn * (p - center))))
+            .filter_map(|f| poses[f].and_then(|(turn, center)| path[f].map(|p| turn * (p - center))))
             .collect();
-        let arc = Arc { places, tolerance_m: 2.0 * RIGID + 2.0 * noise[marker] };
+        let arc = Arc { places, tolerance_m: 2.0 * RIGID + 2.0 * noise };
         if arc.places.len() < SHARED || second_extent(&arc.places) < SMALLEST_ARC {
             continue;
         }
@@ -320,7 +327,7 @@ mod tests {
         // With noise, the frame's turn alone moves a centre 0.35 m away by about 1.5 mm.
         for (noise_m, tolerance_m) in [(0.0, 1e-4), (0.0005, 0.003)] {
             let (paths, truth) = ball_joint(noise_m);
-            let found = joint_centers(&paths, &[noise_m; 5]);
+            let found = joint_centers(&paths, &[noise_m; 5], &paths, &[noise_m; 5]);
             let rms = |path: &Path| {
                 let squares = path.iter().zip(&truth).map(|(p, t)| p.map_or(1.0, |p| (p - t).norm_squared()));
                 (squares.sum::<f64>() / truth.len() as f64).sqrt()
@@ -341,6 +348,6 @@ mod tests {
             Some(at)
         });
         paths.push(free.collect());
-        assert!(joint_centers(&paths, &[0.0; 4]).is_empty());
+        assert!(joint_centers(&paths, &[0.0; 4], &paths, &[0.0; 4]).is_empty());
     }
 }

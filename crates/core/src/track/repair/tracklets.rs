@@ -21,6 +21,8 @@ const UNKNOWN_SPEED: f64 = 3.0;
 /// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
 const FARTHEST: f64 = 1.5;
 const CLEAR: f64 = 3.0;
+/// Farther away, the forward pass's identity does not count either.
+const TORN: f64 = 3.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
@@ -116,7 +118,65 @@ pub fn cut(frames: &[Tracked], times_s: &[f64]) -> (Vec<Tracklet>, Vec<Vec<Optio
         }
         owner.push(owners);
     }
-    (tracklets, owner)
+    let parts = led_back(&tracklets, times_s, acceleration);
+    (merged(&tracklets, &parts), owner.into_iter().map(|o| o.into_iter().map(|t| Some(parts[t?])).collect()).collect())
+}
+
+/// For each tracklet the number of the one that it is part of, when those that lead back to the end of another go on with
+/// it: a marker that has just come back has no velocity yet, so that only what follows can tell.
+fn led_back(tracklets: &[Tracklet], times_s: &[f64], acceleration: f64) -> Vec<usize> {
+    let mut ending: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, one) in tracklets.iter().enumerate() {
+        ending.entry(one.last()).or_default().push(i);
+    }
+    let mut before: Vec<Option<usize>> = vec![None; tracklets.len()];
+    let mut starting: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, one) in tracklets.iter().enumerate().filter(|(_, t)| t.places.len() > RUN_UP) {
+        starting.entry(one.first).or_default().push(i);
+    }
+    for (&first, started) in &starting {
+        for gap in 1..=2 {
+            let Some(last) = first.checked_sub(gap).filter(|l| ending.contains_key(l)) else { continue };
+            let ended: Vec<usize> = ending[&last].iter().copied().filter(|e| !before.contains(&Some(*e))).collect();
+            let free: Vec<usize> = started.iter().copied().filter(|&u| before[u].is_none()).collect();
+            let ahead: Vec<Ahead> =
+                free.iter().map(|&u| Ahead::back_from(&tracklets[u], last, times_s, acceleration)).collect();
+            let places: Vec<Vector3<f64>> = ended.iter().filter_map(|&e| tracklets[e].at(last)).collect();
+            for (e, k) in clear_pairs(&ahead, &places).into_iter().enumerate().filter_map(|(e, k)| k.map(|k| (e, k))) {
+                let forwards = Ahead::of(&tracklets[ended[e]], first, times_s, acceleration);
+                let off = tracklets[free[k]].at(first).map_or(f64::MAX, |p| (p - forwards.point).norm());
+                if off < FARTHEST * forwards.spread {
+                    before[free[k]] = Some(ended[e]);
+                }
+            }
+        }
+    }
+    let mut part: Vec<usize> = vec![usize::MAX; tracklets.len()];
+    let mut count = 0;
+    for i in 0..tracklets.len() {
+        part[i] = before[i].map_or(count, |b| part[b]);
+        count += usize::from(before[i].is_none());
+    }
+    part
+}
+
+/// Tracklets put together from their parts.
+fn merged(tracklets: &[Tracklet], parts: &[usize]) -> Vec<Tracklet> {
+    let mut found: Vec<Tracklet> = Vec::new();
+    for (one, &part) in tracklets.iter().zip(parts) {
+        if part == found.len() {
+            found.push(one.clone());
+            continue;
+        }
+        let whole = &mut found[part];
+        whole.track = one.track;
+        whole.places.resize(one.first - whole.first, None);
+        whole.places.extend_from_slice(&one.places);
+        whole.wide += one.wide;
+        whole.measured += one.measured;
+        whole.variance += one.variance;
+    }
+    found
 }
 
 /// Where a tracklet leads.
@@ -143,32 +203,55 @@ impl Ahead {
         let spread = LEAST_SPREAD + speed * dt_s + 0.5 * acceleration * dt_s * (dt_s + lag_s);
         Self { track: tracklet.track, point, spread }
     }
+
+    /// Where a tracklet comes from: its place in a frame before its first.
+    fn back_from(tracklet: &Tracklet, index: usize, times_s: &[f64], acceleration: f64) -> Self {
+        let first = tracklet.first;
+        let oldest = tracklet.places[0].unwrap_or_default();
+        let dt_s = times_s[first] - times_s[index];
+        let later = (first + 1..=tracklet.last()).take(RUN_UP).find_map(|f| tracklet.at(f).map(|p| (f, p)));
+        let (velocity, lag_s) = later.map_or((Vector3::zeros(), RUN_UP as f64 * dt_s), |(f, p)| {
+            let lag_s = times_s[f] - times_s[first];
+            ((p - oldest) / lag_s, lag_s)
+        });
+        let spread = LEAST_SPREAD + 0.5 * acceleration * dt_s * (dt_s + lag_s);
+        Self { track: tracklet.track, point: oldest - velocity * dt_s, spread }
+    }
+}
+
+/// For each place, the index of what clearly leads to it.
+fn clear_pairs(ahead: &[Ahead], places: &[Vector3<f64>]) -> Vec<Option<usize>> {
+    let mut of_place = vec![Nearest::default(); places.len()];
+    let mut of_ahead = vec![Nearest::default(); ahead.len()];
+    for (k, one) in ahead.iter().enumerate() {
+        for (s, place) in places.iter().enumerate() {
+            let off = (place - one.point).norm() / one.spread;
+            of_place[s].take_in(k, off);
+            of_ahead[k].take_in(s, off);
+        }
+    }
+    let clearly = |s: usize| {
+        let (k, _) = of_place[s].first?;
+        let (back, off) = of_ahead[k].first?;
+        let second = of_place[s].second.min(of_ahead[k].second);
+        (back == s && off < FARTHEST && second > CLEAR * off.max(1.0)).then_some(k)
+    };
+    (0..places.len()).map(clearly).collect()
 }
 
 /// For each sample, the index of what it goes on with.
 fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>) -> Vec<Option<usize>> {
     let samples: Vec<&Sample> = samples.collect();
-    let off = |k: usize, s: usize| (samples[s].point - ahead[k].point).norm() / ahead[k].spread;
-    let mut of_sample = vec![Nearest::default(); samples.len()];
-    let mut of_ahead = vec![Nearest::default(); ahead.len()];
-    for k in 0..ahead.len() {
-        for s in 0..samples.len() {
-            let off = off(k, s);
-            of_sample[s].take_in(k, off);
-            of_ahead[k].take_in(s, off);
-        }
-    }
-    let clearly = |s: usize| {
-        let (k, _) = of_sample[s].first?;
-        let (back, off) = of_ahead[k].first?;
-        let second = of_sample[s].second.min(of_ahead[k].second);
-        (back == s && off < FARTHEST && second > CLEAR * off.max(1.0)).then_some(k)
-    };
-    let mut found: Vec<Option<usize>> = (0..samples.len()).map(clearly).collect();
+    let places: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
+    let mut found = clear_pairs(ahead, &places);
     let mut taken = vec![false; ahead.len()];
     found.iter().flatten().for_each(|&k| taken[k] = true);
     for (sample, found) in samples.iter().zip(&mut found).filter(|(_, f)| f.is_none()) {
-        *found = (0..ahead.len()).find(|&k| !taken[k] && ahead[k].track == sample.track);
+        let goes_on = |k: &usize| {
+            let one = &ahead[*k];
+            !taken[*k] && one.track == sample.track && (sample.point - one.point).norm() < TORN * one.spread
+        };
+        *found = (0..ahead.len()).find(goes_on);
         found.iter().for_each(|&k| taken[k] = true);
     }
     found
