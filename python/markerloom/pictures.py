@@ -210,7 +210,8 @@ def turn(xyz_mm: np.ndarray, measured: np.ndarray, frames: np.ndarray, title: st
     body += [line(a, b, GRID, 1.5) for a, b in pairwise(at)]
     body += [dot(x, y, 3.2, BLUE if m else AMBER, hollow=not m) for (x, y), m in zip(at, measured, strict=True)]
     for k in (0, len(at) - 1):
-        body.append(text(at[k][0] + 7, at[k][1] - 6, f"frame {frames[k]}", size=10, color=GREY))
+        side = "end" if at[k][0] > width / 2 else "start"
+        body.append(text(at[k][0], at[k][1] - 9, f"frame {frames[k]}", size=10, color=GREY, anchor=side))
     length = 10.0 ** np.floor(np.log10(max(150.0 / scale, 1e-6)))
     body.append(line((24, height - 16), (24 + length * scale, height - 16), INK, 2))
     body.append(text(30 + length * scale, height - 12, f"{length:g} mm", size=10, color=GREY))

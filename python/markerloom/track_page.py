@@ -43,7 +43,8 @@ def save_track_page(take: Reconstruction, path: str | Path) -> None:
         )
         sections.append(html_report.section("A sharp turn", html_report.figure(picture, "A dot per frame.")))
     if report.get("gaps"):
-        causes = html_report.note("In the middle of the gap, by number of cameras: " + "; ".join(CAUSES.values()) + ".")
+        meaning = "; ".join(f"{name} = {text}" for name, text in CAUSES.items())
+        causes = html_report.note(f"What the cameras had in the middle of the gap, by their number: {meaning}.")
         sections.append(html_report.section("The longest gaps", causes, _gaps(report["gaps"][:GAPS_LISTED])))
     html_report.write(path, f"Trajectories of {Path(take.source).name or 'a take'}", *sections)
 
@@ -78,6 +79,7 @@ def sharpest_turn(take: Reconstruction) -> tuple[int, Ints] | None:
         before = xyz_mm[step:-step] - xyz_mm[: -2 * step]
         after = xyz_mm[2 * step :] - xyz_mm[step:-step]
         steady = frame[2 * step :] - frame[: -2 * step] == 2 * step
+        steady &= take.kind[rows[step:-step]] == MEASURED
         reversal = np.where(steady, -np.einsum("ij,ij->i", before, after), -np.inf)
         at = int(reversal.argmax())
         if reversal[at] > 0 and (best is None or reversal[at] > best[0]):

@@ -1,4 +1,4 @@
-//! Time per frame of the causal tracker, one thread, over a moving take: mean and tail, because a live user waits for the
+//! Time per frame of the causal tracker, on one thread and on two, over a moving take: mean and tail, because a live user waits for the
 //! slowest frame.
 //!
 //! `cargo bench --bench track [part of a scene's name]`. Each take is followed several times; the first 50 frames, in which
@@ -108,30 +108,32 @@ fn follow(rig: &Rig, model: &SceneModel, frames: &[Vec<Dot>]) -> Vec<f64> {
     ms
 }
 
+/// Mean over the steady frames, then median and tail over all (ms).
+fn measure(rig: &Rig, model: &SceneModel, frames: &[Vec<Dot>], threads: usize) -> [f64; 4] {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be had");
+    let (mut steady, mut all) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        let ms = pool.install(|| follow(rig, model, frames));
+        steady.extend_from_slice(&ms[50..]);
+        all.extend(ms);
+    }
+    all.sort_by(f64::total_cmp);
+    let quantile = |q: f64| all[((all.len() - 1) as f64 * q) as usize];
+    [steady.iter().sum::<f64>() / steady.len() as f64, quantile(0.5), quantile(0.99), quantile(0.999)]
+}
+
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
-    println!("{:38} {:>9} {:>9} {:>9} {:>9}", "one thread", "mean ms", "p50", "p99", "p99.9");
+    println!("{:38} {:>7} {:>9} {:>9} {:>9} {:>9}", "", "threads", "mean ms", "p50", "p99", "p99.9");
     for stage in STAGES.iter().filter(|s| wanted.iter().all(|w| s.name.contains(w.as_str()))) {
         let mut rig = rigs::ring(stage.cameras, stage.distance_m, 20.0, 0.0, stage.size_px, stage.focal_px);
         rig.cameras.iter_mut().for_each(|c| c.position_m += Vector3::z());
         let frames = seen(stage, &rig);
         let some: Vec<&[Dot]> = frames.iter().step_by(stage.frames.div_ceil(30)).map(Vec::as_slice).collect();
         let model = estimate_model(&rig, &some, &ReconstructOptions::default()).expect("the rig sees the stage");
-        let (mut steady, mut all) = (Vec::new(), Vec::new());
-        for _ in 0..ROUNDS {
-            let ms = follow(&rig, &model, &frames);
-            steady.extend_from_slice(&ms[50..]);
-            all.extend(ms);
+        for threads in [1, 2] {
+            let [mean, p50, p99, p999] = measure(&rig, &model, &frames, threads);
+            println!("{:38} {threads:7} {mean:9.4} {p50:9.4} {p99:9.4} {p999:9.4}", stage.name);
         }
-        all.sort_by(f64::total_cmp);
-        let quantile = |q: f64| all[((all.len() - 1) as f64 * q) as usize];
-        let mean = steady.iter().sum::<f64>() / steady.len() as f64;
-        println!(
-            "{:38} {mean:9.4} {:9.4} {:9.4} {:9.4}",
-            stage.name,
-            quantile(0.5),
-            quantile(0.99),
-            quantile(0.999)
-        );
     }
 }

@@ -101,20 +101,6 @@ impl Camera {
         self.pixel_from_normalised(in_camera.xy() / in_camera.z).map(|(pixel, _)| pixel)
     }
 
-    /// Measured pixel of a world point and an upper bound of |d pixel / d point|² (px² per m²).
-    pub fn project_scaled(&self, point_in_world: &Vector3<f64>) -> Option<(Vector2<f64>, f64)> {
-        let c = self.camera_from_world_point(point_in_world);
-        if c.z <= 1e-9 {
-            return None;
-        }
-        let inverse_depth = 1.0 / c.z;
-        let at = c.xy() * inverse_depth;
-        let (pixel, by_normalised) = self.pixel_from_normalised(at)?;
-        // |d normalised / d point|² is at most (1 + |at|²) / z².
-        let by_point = (1.0 + at.norm_squared()) * inverse_depth * inverse_depth;
-        Some((pixel, by_normalised.norm_squared() * by_point))
-    }
-
     /// Measured pixel of a world point and d pixel / d point (px per metre).
     pub fn project_linear(&self, point_in_world: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         let c = self.camera_from_world_point(point_in_world);

@@ -45,7 +45,7 @@ use marker::Marker;
 use nalgebra::{Matrix3, Vector3};
 use share::Merging;
 use thiserror::Error;
-use view::{Prior, match_camera};
+use view::{Prior, match_cameras};
 
 /// How a position came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -284,17 +284,13 @@ impl Tracker {
     /// Assigns free dots to some of the markers and checks that each marker's dots meet.
     fn assign(&mut self, frame: &mut Frame, which: impl Fn(&Marker) -> bool) {
         let priors: Vec<Option<Prior>> = self.crowd.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
-        let mut found: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
-        for camera in 0..self.scene.rig.cameras.len() {
-            let matched = match_camera(&self.scene, frame, camera, &priors, |_| true);
-            matched.iter().for_each(|&(who, dot)| found[who].push(dot));
-        }
-        for (marker, mut dots) in self.crowd.markers.iter_mut().zip(found) {
-            if !dots.is_empty() {
-                dots.sort_unstable();
-                marker.located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
-                marker.claim(&mut frame.free);
-            }
+        let mut found = match_cameras(&self.scene, frame, &priors, |_, _| true);
+        found.sort_unstable();
+        for own in found.chunk_by(|a, b| a.0 == b.0) {
+            let marker = &mut self.crowd.markers[own[0].0];
+            let dots: Vec<u32> = own.iter().map(|pair| pair.1).collect();
+            marker.located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
+            marker.claim(&mut frame.free);
         }
     }
 
@@ -302,14 +298,10 @@ impl Tracker {
     fn regate(&mut self, frame: &mut Frame) {
         let priors: Vec<Option<Prior>> =
             self.crowd.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
+        let lacks = |camera: usize, who: usize| !self.crowd.markers[who].has_dot_of(camera, frame);
         let mut more: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
-        for camera in 0..self.scene.rig.cameras.len() {
-            if !frame.by_camera[camera].iter().any(|&d| frame.free[d as usize]) {
-                continue;
-            }
-            let lacks = |who: usize| !self.crowd.markers[who].has_dot_of(camera, frame);
-            let matched = match_camera(&self.scene, frame, camera, &priors, lacks);
-            matched.iter().for_each(|&(who, dot)| more[who].push(dot));
+        for (who, dot) in match_cameras(&self.scene, frame, &priors, lacks) {
+            more[who].push(dot);
         }
         for (marker, more) in self.crowd.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
             let mut dots = more;

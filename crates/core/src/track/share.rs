@@ -130,7 +130,7 @@ impl Tracker {
         let spread =
             if other.is_found() { 0.0 } else { (by_point * other.prior.covariance * by_point.transpose()).trace() };
         let offset: Vector2<f64> = frame.pixel(dot) - pixel;
-        let near = offset.norm() < self.merging.distance_px + GATE_SIGMAS * spread.sqrt().hypot(sight.sigma_px);
+        let near = offset.norm() < self.merging.distance_px + GATE_SIGMAS * (spread + sight.sigma_px.powi(2)).sqrt();
         near.then_some(0.5 * self.merging.distance_px.min(distance_m * px_per_m))
     }
 }

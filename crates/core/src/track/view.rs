@@ -8,9 +8,10 @@
 
 use super::frame::Frame;
 use crate::assignment::assign;
-use crate::camera::{Camera, Rig};
+use crate::camera::Camera;
 use crate::correspond::scene::Scene;
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Where a marker is expected.
@@ -60,6 +61,8 @@ const LN_REAPPEARS: f64 = -4.0;
 const GATE: f64 = 18.4;
 /// New or unexplained markers per image, for the density of dots that belong to nothing known.
 const UNKNOWN_PER_IMAGE: f64 = 0.1;
+/// Views from which on sharing them out among threads pays.
+const WORTH_SHARING: usize = 4000;
 /// Dots that are counted one by one instead of halving on.
 const COUNTED: usize = 32;
 
@@ -123,9 +126,26 @@ struct Edge {
     gain: f64,
 }
 
+/// Matches free dots to the markers expected at `priors`, camera by camera, of those that are `wanted` there (camera, index
+/// of the prior). Pairs (index of the prior, dot) in order of the cameras; large rigs are shared out among threads.
+pub fn match_cameras(
+    scene: &Scene,
+    frame: &Frame,
+    priors: &[Option<Prior>],
+    wanted: impl Fn(usize, usize) -> bool + Sync,
+) -> Vec<(usize, u32)> {
+    let cameras = scene.rig.cameras.len();
+    let one = |camera: usize| match_camera(scene, frame, camera, priors, |who| wanted(camera, who));
+    if cameras * priors.len() < WORTH_SHARING {
+        return (0..cameras).flat_map(one).collect();
+    }
+    let parts: Vec<Vec<(usize, u32)>> = (0..cameras).into_par_iter().map(one).collect();
+    parts.into_iter().flatten().collect()
+}
+
 /// Matches free dots of one camera to the markers expected at `priors`, of which those that are `wanted` are asked for.
 /// Pairs (index of the prior, dot).
-pub fn match_camera(
+fn match_camera(
     scene: &Scene,
     frame: &Frame,
     camera: usize,
@@ -141,9 +161,8 @@ pub fn match_camera(
     let mut edges = Vec::with_capacity(2 * free.dots.len());
     for (who, prior) in priors.iter().enumerate() {
         let Some(prior) = prior.as_ref().filter(|_| wanted(who)) else { continue };
-        if let Some(near) = free.near(&scene.rig.cameras[camera], prior) {
-            let Some(view) = view_of(&scene.rig, camera, who, prior) else { continue };
-            add_edges(frame, camera, &view, base, &free.dots[near], &mut edges);
+        if let Some((view, near)) = free.near(&scene.rig.cameras[camera], who, prior) {
+            free.add_edges(&view, base, near, &mut edges);
         }
     }
     best_pairs(edges)
@@ -160,6 +179,7 @@ struct Free {
     dots: Vec<u32>,
     x: Vec<f64>,
     y: Vec<f64>,
+    sigma_px: Vec<f64>,
     widest_sigma_px: f64,
 }
 
@@ -168,17 +188,36 @@ impl Free {
         let dots: Vec<u32> = frame.by_camera[camera].iter().copied().filter(|&d| frame.free[d as usize]).collect();
         let x = dots.iter().map(|&d| frame.pixel(d).x).collect();
         let y = dots.iter().map(|&d| frame.pixel(d).y).collect();
-        Self { dots, x, y, widest_sigma_px: frame.widest_sigma_px[camera] }
+        let sigma_px = dots.iter().map(|&d| frame.sigma_px(d)).collect();
+        Self { dots, x, y, sigma_px, widest_sigma_px: frame.widest_sigma_px[camera] }
     }
 
-    /// The dots that may be within a marker's gate; `None` if there are none. Cheap: most hidden markers end here.
-    fn near(&self, camera: &Camera, prior: &Prior) -> Option<Range<usize>> {
-        let (pixel, px2_per_m2) = camera.project_scaled(&prior.point)?;
-        let variance = px2_per_m2 * (prior.covariance.trace() + prior.push);
+    /// A marker's view, and the dots that may be within its gate; `None` if there are none. Most hidden markers end here.
+    fn near(&self, camera: &Camera, who: usize, prior: &Prior) -> Option<(View, Range<usize>)> {
+        let (pixel, by_point) = camera.project_linear(&prior.point)?;
+        let variance = by_point.norm_squared() * (prior.covariance.trace() + prior.push);
         let reach = (GATE * (variance + self.widest_sigma_px * self.widest_sigma_px)).sqrt();
         let first = self.left_of(pixel.x - reach);
         let last = first + self.x[first..].iter().take_while(|&&x| x <= pixel.x + reach).count();
-        self.y[first..last].iter().any(|y| (y - pixel.y).abs() <= reach).then_some(first..last)
+        if !self.y[first..last].iter().any(|y| (y - pixel.y).abs() <= reach) {
+            return None;
+        }
+        let own = by_point * prior.covariance * by_point.transpose();
+        let push = by_point * by_point.transpose() * prior.push;
+        Some((View { who, pixel, own, push }, first..last))
+    }
+
+    fn add_edges(&self, view: &View, base: f64, near: Range<usize>, edges: &mut Vec<Edge>) {
+        let mut mixture = Mixture::new(view, self.widest_sigma_px);
+        for at in near {
+            if self.sigma_px[at].to_bits() != mixture.sigma_px.to_bits() {
+                mixture = Mixture::new(view, self.sigma_px[at]);
+            }
+            let offset = Vector2::new(self.x[at], self.y[at]) - view.pixel;
+            if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln).filter(|g| *g > 0.0) {
+                edges.push(Edge { who: view.who, dot: self.dots[at], gain });
+            }
+        }
     }
 
     /// Number of dots left of a place. Counting a few is faster than jumping about.
@@ -189,31 +228,6 @@ impl Free {
             if self.x[middle] < x { low = middle } else { high = middle }
         }
         low + self.x[low..high].iter().map(|&other| usize::from(other < x)).sum::<usize>()
-    }
-}
-
-fn view_of(rig: &Rig, camera: usize, who: usize, prior: &Prior) -> Option<View> {
-    let (pixel, by_point) = rig.cameras[camera].project_linear(&prior.point)?;
-    let own = spread(&by_point, &prior.covariance);
-    let push = by_point * by_point.transpose() * prior.push;
-    Some(View { who, pixel, own, push })
-}
-
-fn spread(by_point: &Matrix2x3<f64>, covariance: &Matrix3<f64>) -> Matrix2<f64> {
-    by_point * covariance * by_point.transpose()
-}
-
-fn add_edges(frame: &Frame, camera: usize, view: &View, base: f64, dots: &[u32], edges: &mut Vec<Edge>) {
-    let mut mixture = Mixture::new(view, frame.widest_sigma_px[camera]);
-    for &dot in dots {
-        let sigma_px = frame.sigma_px(dot);
-        if sigma_px.to_bits() != mixture.sigma_px.to_bits() {
-            mixture = Mixture::new(view, sigma_px);
-        }
-        let offset = frame.pixel(dot) - view.pixel;
-        if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln).filter(|g| *g > 0.0) {
-            edges.push(Edge { who: view.who, dot, gain });
-        }
     }
 }
 

@@ -6,7 +6,7 @@
 use super::super::filter::{Filter, Step};
 use super::super::frame::Frame;
 use super::super::locate::{LocateGates, locate};
-use super::super::view::{Prior, match_camera};
+use super::super::view::{Prior, match_cameras};
 use super::super::{Kind, Sample, Tracked};
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
@@ -129,10 +129,7 @@ fn search(
         })
         .collect();
     let mut found = vec![Vec::new(); priors.len()];
-    for camera in 0..scene.rig.cameras.len() {
-        let matched = match_camera(scene, &frame, camera, &priors, |_| true);
-        matched.iter().for_each(|&(who, dot)| found[who].push(dot));
-    }
+    match_cameras(scene, &frame, &priors, |_, _| true).iter().for_each(|&(who, dot)| found[who].push(dot));
     let mut samples = Vec::new();
     for ((track, runner), (mut dots, prior)) in runners.iter_mut().zip(found.into_iter().zip(priors)) {
         dots.sort_unstable();
