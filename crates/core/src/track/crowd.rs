@@ -78,12 +78,12 @@ impl Crowd {
         }
     }
 
-    /// For each new point, the index of the lost marker that it is.
-    pub fn owners(&self, groups: &[Group]) -> Vec<Option<usize>> {
+    /// For each new point, the index of the lost marker that it is, if that costs less than `worst` (nats).
+    pub fn owners(&self, groups: &[Group], worst: f64) -> Vec<Option<usize>> {
         let now = self.places(Marker::found_at);
         let lost: Vec<usize> =
             (0..self.markers.len()).filter(|&i| self.markers[i].confirmed && !self.markers[i].is_found()).collect();
-        let given = rematch(&self.markers, &lost, groups, &self.body.links, &now);
+        let given = rematch(&self.markers, &lost, groups, &self.body.links, &now, worst);
         given.into_iter().map(|owner| owner.map(|l| lost[l])).collect()
     }
 

@@ -365,7 +365,7 @@ impl Tracker {
 
     /// Gives new points to lost markers; returns those that are nobody's.
     fn rematch(&mut self, frame: &mut Frame, searched: &Searched) -> Vec<Group> {
-        let owners = self.crowd.owners(&searched.groups);
+        let owners = self.crowd.owners(&searched.groups, rematch::WORST);
         let mut left = Vec::new();
         for (group, owner) in searched.groups.iter().zip(owners) {
             let claimed: Vec<usize> = group.dots.iter().filter_map(|&d| searched.claims[d]).collect();

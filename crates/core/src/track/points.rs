@@ -5,6 +5,7 @@ use super::clock::{Moment, TimeError};
 use super::crowd::Crowd;
 use super::locate::Located;
 use super::marker::Marker;
+use super::rematch::WORST_OF_POINTS;
 use super::view::Prior;
 use super::{TrackOptions, Tracked};
 use crate::assignment::assign;
@@ -17,6 +18,8 @@ const LN_MEASURED: f64 = 3.0;
 const UNKNOWN_PER_M3: f64 = 0.1;
 /// Probability with which a marker's own point is not looked at.
 const MISSED: f64 = 1e-4;
+/// How rarely a marker that moves stays where it was (nats).
+const STAYED: f64 = 3.0;
 /// How surely a point is a marker.
 const CONFIDENCE: f64 = 0.9;
 
@@ -77,7 +80,7 @@ impl PointTracker {
     fn assign(&mut self, points: &[MeasuredPoint], free: &mut [bool], which: impl Fn(&Marker) -> bool) {
         let asked: Vec<usize> = (0..self.crowd.markers.len()).filter(|&i| which(&self.crowd.markers[i])).collect();
         let left: Vec<usize> = (0..points.len()).filter(|&p| free[p]).collect();
-        let gain = |m: usize, p: usize| self.gain(&self.crowd.markers[asked[m]].prior, &points[left[p]]);
+        let gain = |m: usize, p: usize| self.gain(&self.crowd.markers[asked[m]], &points[left[p]]);
         let chosen = assign(asked.len(), left.len(), |m, p| gain(m, p).map(|g| -g));
         for (m, p) in chosen.into_iter().enumerate().filter_map(|(m, p)| p.map(|p| (asked[m], left[p]))) {
             self.crowd.markers[m].located = Located::measured(p as u32, points[p].point, &points[p].covariance());
@@ -85,9 +88,19 @@ impl PointTracker {
         }
     }
 
-    /// What it gains to believe that a point is a marker's (nats); `None` where that is out of the question.
-    fn gain(&self, prior: &Prior, point: &MeasuredPoint) -> Option<f64> {
-        let off = point.point - prior.point;
+    /// What it gains to believe that a point is a marker's (nats); `None` where that is out of the question. A point that
+    /// jumped to and fro is where it was rather than where its last jump leads: both are tried.
+    fn gain(&self, marker: &Marker, point: &MeasuredPoint) -> Option<f64> {
+        let moved = self.gain_at(&marker.prior, &marker.prior.point, point);
+        if !marker.is_live() {
+            return moved;
+        }
+        let stayed = self.gain_at(&marker.prior, &marker.last_point(), point).map(|g| g - STAYED);
+        moved.into_iter().chain(stayed).max_by(f64::total_cmp).filter(|g| *g > 0.0)
+    }
+
+    fn gain_at(&self, prior: &Prior, expected: &Vector3<f64>, point: &MeasuredPoint) -> Option<f64> {
+        let off = point.point - expected;
         let noise = point.covariance();
         if off.norm_squared() > self.gate * (prior.wide() + noise).trace() {
             return None;
@@ -109,7 +122,7 @@ impl PointTracker {
             ray_distance_m: 0.0,
         };
         let groups: Vec<Group> = left.iter().map(group).collect();
-        for (owner, p) in self.crowd.owners(&groups).into_iter().zip(left) {
+        for (owner, p) in self.crowd.owners(&groups, WORST_OF_POINTS).into_iter().zip(left) {
             let found = Located::measured(p as u32, points[p].point, &points[p].covariance());
             if let (Some(owner), Some(found)) = (owner, found) {
                 self.crowd.markers[owner].refind(found);

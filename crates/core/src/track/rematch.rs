@@ -13,8 +13,10 @@ use nalgebra::Vector3;
 /// A lost marker may be this far from where it is expected (m), beyond four of its standard deviations, at most.
 const MARGIN: f64 = 0.06;
 const FARTHEST: f64 = 0.15;
-/// What a pair may cost at most (nats); a fitting link brings as much as [`LINK_GAIN`].
-const WORST: f64 = 8.0;
+/// What a pair may cost at most (nats): points from dots do not jump, points of other systems do now and then. A fitting
+/// link brings as much as [`LINK_GAIN`].
+pub const WORST: f64 = 8.0;
+pub const WORST_OF_POINTS: f64 = 30.0;
 const LINK_GAIN: f64 = 0.7;
 /// Largest cost of one link: one broken link does not decide.
 const WORST_LINK: f64 = 4.0;
@@ -28,11 +30,12 @@ pub fn rematch(
     groups: &[Group],
     links: &Links,
     now: &[Option<Vector3<f64>>],
+    worst: f64,
 ) -> Vec<Option<usize>> {
     assign(groups.len(), lost.len(), |g, l| {
         let marker = &markers[lost[l]];
         let cost = place_cost(marker, &groups[g])? + link_cost(marker, &groups[g].point, links, |slot| now[slot]);
-        (cost < WORST).then_some(cost - WORST)
+        (cost < worst).then_some(cost - worst)
     })
 }
 

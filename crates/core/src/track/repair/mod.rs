@@ -18,7 +18,7 @@ use crate::correspond::scene::Scene;
 use carry::carry;
 use extend::extend;
 use join::{Chain, join};
-use tracklets::{Tracklet, cut};
+use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
 
 /// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
 pub fn repair(
@@ -28,7 +28,7 @@ pub fn repair(
     dots: &[Vec<Dot>],
     times_s: &[f64],
 ) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s);
+    let mut repaired = identify(frames, times_s, TORN);
     extend(scene, dots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
@@ -36,14 +36,14 @@ pub fn repair(
 
 /// Repairs a recorded take of points: there are no dots to prolong a trajectory on.
 pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s);
+    let mut repaired = identify(frames, times_s, TORN_POINTS);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
 
 /// Measured samples under the identities that the whole take gives them.
-fn identify(frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
-    let (tracklets, owner) = cut(frames, times_s);
+fn identify(frames: &[Tracked], times_s: &[f64], torn: f64) -> Vec<Tracked> {
+    let (tracklets, owner) = cut(frames, times_s, torn);
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {

@@ -21,8 +21,9 @@ const UNKNOWN_SPEED: f64 = 3.0;
 /// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
 const FARTHEST: f64 = 1.5;
 const CLEAR: f64 = 3.0;
-/// Farther away, the forward pass's identity does not count either.
-const TORN: f64 = 3.0;
+/// Farther away, the forward pass's identity does not count either (spreads); points of other systems jump now and then.
+pub const TORN: f64 = 3.0;
+pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
@@ -87,7 +88,7 @@ impl Tracklet {
 ///
 /// A sample goes on with the tracklet whose motion leads to it, whatever identity the forward pass gave it: that pass may
 /// have given a visible marker's dots to a hidden one. Where motion is not clear, the forward pass's identity counts.
-pub fn cut(frames: &[Tracked], times_s: &[f64]) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
+pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
     let believed = believed(frames);
     let acceleration = usual_acceleration(frames, times_s);
     let mut tracklets: Vec<Tracklet> = Vec::new();
@@ -105,7 +106,7 @@ pub fn cut(frames: &[Tracked], times_s: &[f64]) -> (Vec<Tracklet>, Vec<Vec<Optio
         let own: Vec<usize> = (0..frame.samples.len()).filter(|&i| is_own(&frame.samples[i])).collect();
         let ahead: Vec<Ahead> =
             open.iter().map(|&t| Ahead::of(&tracklets[t], index, times_s, acceleration)).collect();
-        let goes_on = continuations(&ahead, own.iter().map(|&i| &frame.samples[i]));
+        let goes_on = continuations(&ahead, own.iter().map(|&i| &frame.samples[i]), torn);
         let mut owners = vec![None; frame.samples.len()];
         for (&i, goes_on) in own.iter().zip(goes_on) {
             let tracklet = goes_on.map_or(tracklets.len(), |k| open[k]);
@@ -240,7 +241,7 @@ fn clear_pairs(ahead: &[Ahead], places: &[Vector3<f64>]) -> Vec<Option<usize>> {
 }
 
 /// For each sample, the index of what it goes on with.
-fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>) -> Vec<Option<usize>> {
+fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>, torn: f64) -> Vec<Option<usize>> {
     let samples: Vec<&Sample> = samples.collect();
     let places: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
     let mut found = clear_pairs(ahead, &places);
@@ -249,7 +250,7 @@ fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>)
     for (sample, found) in samples.iter().zip(&mut found).filter(|(_, f)| f.is_none()) {
         let goes_on = |k: &usize| {
             let one = &ahead[*k];
-            !taken[*k] && one.track == sample.track && (sample.point - one.point).norm() < TORN * one.spread
+            !taken[*k] && one.track == sample.track && (sample.point - one.point).norm() < torn * one.spread
         };
         *found = (0..ahead.len()).find(goes_on);
         found.iter().for_each(|&k| taken[k] = true);
