@@ -20,9 +20,9 @@ use std::collections::VecDeque;
 
 /// Times per second at which links are updated and the history is extended: motion of a body holds nothing faster.
 const LINKS_HZ: f64 = 50.0;
-const HISTORY_HZ: f64 = 10.0;
+const HISTORY_HZ: f64 = 20.0;
 /// How far back the history reaches (snapshots).
-const HISTORY: usize = 200;
+const HISTORY: usize = 400;
 
 /// A body comes into poses beyond those that are known: in this time a hidden marker's variance doubles (s).
 const EXPLORES_S: f64 = 1.7;

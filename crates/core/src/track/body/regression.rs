@@ -11,7 +11,7 @@ use super::{Carried, Snapshot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Rotation3, Vector3};
 
 /// Neighbours at most.
-pub const NEIGHBOURS: usize = 6;
+pub const NEIGHBOURS: usize = 5;
 /// Fewer make no frame.
 const FEWEST: usize = 3;
 /// Smallest area of the triangle of the first three neighbours' spread (m²): below it the frame's turn is a guess.
