@@ -52,6 +52,22 @@ impl Tracklet {
         Self { track: 0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
     }
 
+    fn together(parts: &[&Self]) -> Self {
+        let first = parts.iter().map(|p| p.first).min().unwrap_or(0);
+        let last = parts.iter().map(|p| p.last()).max().unwrap_or(0);
+        let newest = parts.iter().max_by_key(|p| p.last()).map_or(0, |p| p.track);
+        let mut whole = Self { track: newest, places: vec![None; last + 1 - first], ..Self::starting(first) };
+        for part in parts {
+            for (k, place) in part.places.iter().enumerate().filter(|(_, p)| p.is_some()) {
+                whole.places[part.first + k - first] = *place;
+            }
+            whole.wide += part.wide;
+            whole.measured += part.measured;
+            whole.variance += part.variance;
+        }
+        whole
+    }
+
     fn take_in(&mut self, index: usize, sample: &Sample) {
         self.track = sample.track;
         self.places.resize(index - self.first, None);
@@ -119,8 +135,80 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
         }
         owner.push(owners);
     }
-    let parts = led_back(&tracklets, times_s, acceleration);
-    (merged(&tracklets, &parts), owner.into_iter().map(|o| o.into_iter().map(|t| Some(parts[t?])).collect()).collect())
+    let ways: [PartsOf; 2] = [led_back, fitting_into_holes];
+    for parts_of in ways {
+        let parts = parts_of(&tracklets, times_s, acceleration);
+        tracklets = merged(&tracklets, &parts);
+        owner.iter_mut().flatten().flatten().for_each(|t| *t = parts[*t]);
+    }
+    (tracklets, owner)
+}
+
+/// Tells for each tracklet the number of the one that it is part of, by times (s) and the usual acceleration (m/s²).
+type PartsOf = fn(&[Tracklet], &[f64], f64) -> Vec<usize>;
+
+/// For each tracklet the number of the one that it is part of, when it fits into the hole of another: for a frame or two the
+/// forward pass gave a marker's points to somebody else.
+fn fitting_into_holes(tracklets: &[Tracklet], times_s: &[f64], acceleration: f64) -> Vec<usize> {
+    let mut holes: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, one) in tracklets.iter().enumerate() {
+        for (k, _) in one.places.iter().enumerate().filter(|(_, p)| p.is_none()) {
+            holes.entry(one.first + k).or_default().push(i);
+        }
+    }
+    let mut filled: Vec<(usize, usize)> = Vec::new();
+    let mut host: Vec<Option<usize>> = vec![None; tracklets.len()];
+    for (i, one) in tracklets.iter().enumerate().filter(|(_, t)| t.places.len() <= RUN_UP) {
+        let frames: Vec<usize> = (one.first..=one.last()).filter(|&f| one.at(f).is_some()).collect();
+        let mut best = Nearest::default();
+        for &h in holes.get(&one.first).into_iter().flatten() {
+            if frames.iter().any(|&f| tracklets[h].at(f).is_some() || filled.contains(&(h, f))) {
+                continue;
+            }
+            let off = |f: &usize| off_the_line(&tracklets[h], *f, one.at(*f)?, times_s, acceleration);
+            let offs: Option<Vec<f64>> = frames.iter().map(off).collect();
+            if let Some(offs) = offs {
+                best.take_in(h, offs.into_iter().fold(0.0, f64::max));
+            }
+        }
+        if let Some((h, _)) = best.first.filter(|b| b.1 < FARTHEST && best.second > CLEAR * b.1.max(1.0)) {
+            host[i] = Some(h);
+            filled.extend(frames.into_iter().map(|f| (h, f)));
+        }
+    }
+    numbered(&host)
+}
+
+/// How far a place is from the line between a tracklet's neighbouring places (spreads); `None` outside it.
+fn off_the_line(
+    tracklet: &Tracklet,
+    frame: usize,
+    place: Vector3<f64>,
+    times_s: &[f64],
+    acceleration: f64,
+) -> Option<f64> {
+    let before = (tracklet.first..frame).rev().find(|&f| tracklet.at(f).is_some())?;
+    let after = (frame + 1..=tracklet.last()).find(|&f| tracklet.at(f).is_some())?;
+    let (p, q) = (tracklet.at(before)?, tracklet.at(after)?);
+    let (since_s, until_s) = (times_s[frame] - times_s[before], times_s[after] - times_s[frame]);
+    let line = p + (q - p) * (since_s / (since_s + until_s));
+    Some((place - line).norm() / (LEAST_SPREAD + 0.5 * acceleration * since_s * until_s))
+}
+
+/// Numbers of wholes, by part, where `host` is what a part belongs to; a host is never a part itself.
+fn numbered(host: &[Option<usize>]) -> Vec<usize> {
+    let mut number = vec![0; host.len()];
+    let mut count = 0;
+    for i in (0..host.len()).filter(|&i| host[i].is_none()) {
+        number[i] = count;
+        count += 1;
+    }
+    for i in 0..host.len() {
+        if let Some(h) = host[i] {
+            number[i] = number[h];
+        }
+    }
+    number
 }
 
 /// For each tracklet the number of the one that it is part of, when those that lead back to the end of another go on with
@@ -152,32 +240,22 @@ fn led_back(tracklets: &[Tracklet], times_s: &[f64], acceleration: f64) -> Vec<u
             }
         }
     }
-    let mut part: Vec<usize> = vec![usize::MAX; tracklets.len()];
-    let mut count = 0;
-    for i in 0..tracklets.len() {
-        part[i] = before[i].map_or(count, |b| part[b]);
-        count += usize::from(before[i].is_none());
+    let mut root = before;
+    for i in 0..root.len() {
+        // A piece comes later than what it goes on with, whose own beginning is known by now.
+        if let Some(b) = root[i] {
+            root[i] = Some(root[b].unwrap_or(b));
+        }
     }
-    part
+    numbered(&root)
 }
 
 /// Tracklets put together from their parts.
 fn merged(tracklets: &[Tracklet], parts: &[usize]) -> Vec<Tracklet> {
-    let mut found: Vec<Tracklet> = Vec::new();
-    for (one, &part) in tracklets.iter().zip(parts) {
-        if part == found.len() {
-            found.push(one.clone());
-            continue;
-        }
-        let whole = &mut found[part];
-        whole.track = one.track;
-        whole.places.resize(one.first - whole.first, None);
-        whole.places.extend_from_slice(&one.places);
-        whole.wide += one.wide;
-        whole.measured += one.measured;
-        whole.variance += one.variance;
-    }
-    found
+    let count = parts.iter().map(|p| p + 1).max().unwrap_or(0);
+    let mut members: Vec<Vec<&Tracklet>> = vec![Vec::new(); count];
+    parts.iter().zip(tracklets).for_each(|(&part, one)| members[part].push(one));
+    members.into_iter().map(|own| Tracklet::together(&own)).collect()
 }
 
 /// Where a tracklet leads.
