@@ -44,6 +44,10 @@ const UNSEEN_BY_LENGTH: f64 = 0.03;
 const UNSEEN_WORTH: f64 = 2.0;
 /// Acceleration that a limb may undergo unseen (m/s²), and the fastest marker (m/s).
 const ACCELERATION: f64 = 25.0;
+/// How often a limb's acceleration turns into another (1/s).
+const CHANGES_PER_S: f64 = 6.0;
+/// What it says that the forward pass followed a marker from one tracklet to the next by its rays (nats).
+const FOLLOWED: f64 = 4.0;
 const FASTEST: f64 = 9.0;
 /// Volume in which another marker could as well have appeared (m³), and bounds of the evidence of motion (nats).
 const ELSEWHERE: f64 = 0.2;
@@ -437,8 +441,11 @@ impl Scene<'_> {
             (None, None) => p,
         };
         let unknown = if v.is_some() || w.is_some() { 0.0 } else { 2.0 * gap_s };
-        let spread = 0.004 + 0.25 * ACCELERATION * gap_s * gap_s + unknown;
-        if spread > LIMB_RANGE { Some(later(&p)) } else { Some(ln_near((q - carried).norm(), spread)) }
+        // With both velocities, only what the acceleration changes by is unforeseen.
+        let smooth = if v.is_some() && w.is_some() { CHANGES_PER_S * gap_s } else { 1.0 };
+        let spread = 0.004 + 0.25 * ACCELERATION * gap_s * gap_s * smooth.min(1.0) + unknown;
+        let motion = if spread > LIMB_RANGE { later(&p) } else { ln_near((q - carried).norm(), spread) };
+        Some(motion + FOLLOWED * after.followed_from(before))
     }
 
     /// Velocity at the end or the beginning of a tracklet (m/s), over up to 30 ms or two frames.

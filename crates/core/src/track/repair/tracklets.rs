@@ -33,8 +33,11 @@ const FLICKER: usize = 2;
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
 pub struct Tracklet {
-    /// Identity that the forward pass gave it last.
+    /// Identity that the forward pass gave it last, and first.
     pub track: u32,
+    first_track: u32,
+    /// Share of the hidden frames before it in which the forward pass followed that identity by a ray.
+    followed: f64,
     /// Index of its first frame.
     pub first: usize,
     /// Position in each frame from the first on; `None` where it was hidden for a moment.
@@ -49,14 +52,25 @@ pub struct Tracklet {
 
 impl Tracklet {
     fn starting(first: usize) -> Self {
-        Self { track: 0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
+        Self {
+            track: 0,
+            first_track: 0,
+            followed: 0.0,
+            first,
+            places: Vec::new(),
+            wide: 0,
+            measured: 0,
+            variance: 0.0,
+        }
     }
 
     fn together(parts: &[&Self]) -> Self {
         let first = parts.iter().map(|p| p.first).min().unwrap_or(0);
         let last = parts.iter().map(|p| p.last()).max().unwrap_or(0);
         let newest = parts.iter().max_by_key(|p| p.last()).map_or(0, |p| p.track);
-        let mut whole = Self { track: newest, places: vec![None; last + 1 - first], ..Self::starting(first) };
+        let (first_track, followed) = parts.iter().min_by_key(|p| p.first).map_or((0, 0.0), |p| (p.first_track, p.followed));
+        let places = vec![None; last + 1 - first];
+        let mut whole = Self { track: newest, first_track, followed, places, ..Self::starting(first) };
         for part in parts {
             for (k, place) in part.places.iter().enumerate().filter(|(_, p)| p.is_some()) {
                 whole.places[part.first + k - first] = *place;
@@ -75,6 +89,12 @@ impl Tracklet {
         self.wide += usize::from(sample.dots.len() >= 3);
         self.measured += 1;
         self.variance += sample.covariance.trace() / 3.0;
+    }
+
+    /// How surely the forward pass followed the marker from the end of another tracklet to the beginning of this one, 0–1: by
+    /// a ray that met its predictions; a name alone that comes back says nothing.
+    pub fn followed_from(&self, before: &Self) -> f64 {
+        if before.track == self.first_track { self.followed } else { 0.0 }
     }
 
     /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
@@ -111,6 +131,8 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
     let mut owner: Vec<Vec<Option<usize>>> = Vec::with_capacity(frames.len());
     let mut open: Vec<usize> = Vec::new();
     let mut touching: BTreeMap<(u32, u32), bool> = BTreeMap::new();
+    // Frames since a marker was last measured, and those of them with a ray.
+    let mut hidden: BTreeMap<u32, [f64; 2]> = BTreeMap::new();
     for (index, frame) in frames.iter().enumerate() {
         open.retain(|&t| {
             let last = tracklets[t].last();
@@ -127,13 +149,23 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
         for (&i, goes_on) in own.iter().zip(goes_on) {
             let tracklet = goes_on.map_or(tracklets.len(), |k| open[k]);
             if tracklet == tracklets.len() {
-                tracklets.push(Tracklet::starting(index));
+                let track = frame.samples[i].track;
+                let followed = hidden.get(&track).map_or(0.0, |h| h[1] / h[0].max(1.0));
+                tracklets.push(Tracklet { first_track: track, followed, ..Tracklet::starting(index) });
                 open.push(tracklet);
             }
             tracklets[tracklet].take_in(index, &frame.samples[i]);
             owners[i] = Some(tracklet);
         }
         owner.push(owners);
+        for sample in &frame.samples {
+            let own = hidden.entry(sample.track).or_default();
+            if sample.kind == Kind::Measured {
+                *own = [0.0; 2];
+            } else {
+                *own = [own[0] + 1.0, own[1] + f64::from(u8::from(!sample.dots.is_empty()))];
+            }
+        }
     }
     let ways: [PartsOf; 2] = [led_back, fitting_into_holes];
     for parts_of in ways {
@@ -362,7 +394,7 @@ impl Nearest {
 }
 
 /// Acceleration that is rarely exceeded in this take (m/s²): its 95 % quantile over what the forward pass followed.
-fn usual_acceleration(frames: &[Tracked], times_s: &[f64]) -> f64 {
+pub fn usual_acceleration(frames: &[Tracked], times_s: &[f64]) -> f64 {
     let place = |f: usize, track: u32| {
         let samples = &frames[f].samples;
         let at = samples.binary_search_by_key(&track, |s| s.track).ok()?;
