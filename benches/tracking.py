@@ -1,6 +1,6 @@
-"""Trajectories against truth: simulated walks and dances, and a real take with cameras and frames left out.
+"""Trajectories against truth: simulated walks and dances, sharp turns, a real take with cameras and frames left out.
 
-Run: python benches/tracking.py [simulated] [real] [--seeds=0,1,2,3,4]     (both parts: about 20 minutes)
+Run: python benches/tracking.py [simulated] [turns] [real] [--seeds=0,1,2,3,4] [--rows=0,1]     (all: about 20 minutes)
 """
 
 from __future__ import annotations
@@ -25,27 +25,86 @@ ROWS: list[tuple[str, str, dict[str, object]]] = [
     ("dance, 4 cameras, 0.3 px", "dance", EASY | {"cameras": 4}),
     ("duet, 12 cameras, 0.3 px", "duet", {"frames": 1000, "sigma_px": 0.3}),
 ]
-FIGURES = ("ghosts_per_frame", "missing_per_frame", "per_marker", "id_switches", "sigma_ratio", "us", "searched")
+FIGURES = (
+    "ghosts_per_frame",
+    "missing_per_frame",
+    "per_marker",
+    "id_switches",
+    "sigma_ratio",
+    "idf1",
+    "us",
+    "searched",
+)
+METHODS = ("default", "paper")
 
 
 def simulated(name: str, scene: str, changes: dict[str, object], seeds: list[int]) -> str:
-    """One row: means over the seeds, switches per take."""
-    results = []
+    """One row for each method: means over the seeds, switches per take."""
+    results: dict[str, list[list[float]]] = {method: [] for method in METHODS}
     for seed in seeds:
         take = ml.simulate(ml.make_scene(scene, seed=seed, **changes))
         truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
-        points = ml.track(take.observations, take.rig)
-        result = ml.evaluate(points, truth, tolerance_mm=25)
         seen = len(set(truth.points.label[truth.required].tolist()))
-        report = points.report
-        result |= {"per_marker": result["trajectories"] / seen, "searched": report["searched_dots"]}
-        result |= {"us": 1000 * report["timing"]["ms_per_frame"]["mean"]}
-        results.append([result[figure] for figure in FIGURES])
-    ghosts, missing, per_marker, switches, ratio, us, searched = np.mean(results, axis=0)
+        for method in METHODS:
+            points = ml.track(take.observations, take.rig, method=method)
+            result = ml.evaluate(points, truth, tolerance_mm=25)
+            report = points.report
+            result |= {"per_marker": result["trajectories"] / seen, "searched": report["searched_dots"]}
+            result |= {"us": 1000 * report["timing"]["ms_per_frame"]["mean"]}
+            results[method].append([result[figure] for figure in FIGURES])
+    return "\n".join(line(f"{name}, {method}", rows) for method, rows in results.items())
+
+
+def line(name: str, rows: list[list[float]]) -> str:
+    """One printed row."""
+    ghosts, missing, per_marker, switches, ratio, idf1, us, searched = np.mean(rows, axis=0)
+    by_seed = "/".join(f"{row[FIGURES.index('id_switches')]:.0f}" for row in rows)
     return (
-        f"{name:34} ghosts {ghosts:.4f}  missing {missing:.4f}  trajectories/marker {per_marker:.3f}  "
-        f"switches {switches:.1f}  (error/sigma)² {ratio:.2f}  {us:.0f} µs/frame  searched {100 * searched:.1f} %"
+        f"{name:40} ghosts {ghosts:.4f}  missing {missing:.4f}  trajectories/marker {per_marker:.3f}  "
+        f"switches {switches:.1f} ({by_seed})  IDF1 {idf1:.4f}  (error/sigma)² {ratio:.2f}  {us:.0f} µs/frame  "
+        f"searched {100 * searched:.1f} %"
     )
+
+
+def turns() -> None:
+    """A foot that reverses its direction sharply (figure 13), simulated, and the fastest turns of a real recording."""
+    for rate_hz in (60.0, 30.0):
+        fine_s = np.arange(0.0, 4.0, 1e-3)
+        # The foot stands for a second, then goes forth and back at 2.5 m/s; each turn takes 0.08 s, at 60 m/s².
+        speed = np.clip(60.0 * (np.abs(((fine_s - 0.8) % 0.8) - 0.4) - 0.2), -2.5, 2.5) * (fine_s > 1.0)
+        time_s = np.arange(0.0, 4.0, 1.0 / rate_hz)
+        along_mm = 1000.0 * np.interp(time_s, fine_s, np.cumsum(speed) * 1e-3)
+        foot = np.stack([along_mm, 0.0 * time_s, 100.0 + 0.0 * time_s], axis=1)
+        body = [[0, 150, 500], [200, 150, 500], [0, -150, 500], [300, -250, 900], [-200, 100, 1000]]
+        layout = np.array([[0, 0, 0], [60, 0, 10], [20, 40, 0]], float)
+        places = np.concatenate([foot[:, None] + layout, np.broadcast_to(body, (len(foot), 5, 3))], axis=1)
+        rng = np.random.default_rng(0)
+        frame = np.repeat(np.arange(len(foot)), 8)
+        xyz_mm = (places + rng.normal(0.0, 0.3, places.shape)).reshape(-1, 3)
+        track = np.tile(np.arange(8), len(foot))
+        take = replace(ml.Points.of(frame, track, xyz_mm, rate_hz=rate_hz), label=track.astype(str))
+        print(turn_line(f"foot at 2.5 m/s, turns at 60 m/s², {rate_hz:g} Hz", take))
+    points = ml.read_points(DATA / "labelling" / "cmu-85_02.c3d")
+    for step in (1, 2, 4):
+        kept = points.keep((points.frame % step == 0) & (points.kind == 0))
+        frame = kept.frame // step
+        take = replace(kept, frame=frame, frames=np.unique(frame), rate_hz=(points.rate_hz or 0.0) / step)
+        print(turn_line(f"cmu-85_02, {take.rate_hz:g} Hz", take))
+
+
+def turn_line(name: str, take: ml.Points) -> str:
+    """Whether every marker keeps its trajectory, live and over the whole take."""
+    kept = {}
+    for causal in (True, False):
+        found = ml.evaluate(ml.track(take, causal=causal), ml.truth_without_views(take), tolerance_mm=25)
+        kept["live" if causal else "whole take"] = (found["trajectories"], found["id_switches"])
+    markers = len(np.unique(take.track))
+    speed = max(
+        float(np.linalg.norm(np.diff(take.xyz_mm[take.track == t], axis=0), axis=1).max())
+        for t in np.unique(take.track)
+    )
+    parts = "  ".join(f"{k}: {n} trajectories, {s} switches" for k, (n, s) in kept.items())
+    return f"{name:40} {markers} markers, fastest {speed * (take.rate_hz or 0) / 1000:.1f} m/s  {parts}"
 
 
 def real(take: UpperBody, cameras: list[str], step: int = 1) -> list[float]:
@@ -74,15 +133,20 @@ def real_line(name: str, rows: list[list[float]]) -> str:
 
 def main() -> None:
     """Print every row."""
-    chosen = {a for a in sys.argv[1:] if a in ("simulated", "real")} or {"simulated", "real"}
+    parts = {"simulated", "turns", "real"}
+    chosen = {a for a in sys.argv[1:] if a in parts} or parts
     listed = [a.split("=", 1)[1] for a in sys.argv if a.startswith("--seeds=")]
     seeds = [int(s) for s in listed[0].split(",")] if listed else [0, 1, 2, 3, 4]
+    rows = [a.split("=", 1)[1] for a in sys.argv if a.startswith("--rows=")]
+    wanted = [int(r) for r in rows[0].split(",")] if rows else range(len(ROWS))
     if "simulated" in chosen:
-        for row in ROWS:
-            print(simulated(*row, seeds), flush=True)
+        for row in wanted:
+            print(simulated(*ROWS[row], seeds), flush=True)
+    if chosen & {"turns", "real"} and not DATA.is_dir():
+        sys.exit("the real recordings (../shared/data) are not on this machine")
+    if "turns" in chosen:
+        turns()
     if "real" in chosen:
-        if not DATA.is_dir():
-            sys.exit("the real recordings (../shared/data) are not on this machine")
         take = UpperBody(DATA)
         for step in (1, 2, 4, 8):
             print(real_line(f"upper body, every {step}. frame", [real(take, take.active, step)]), flush=True)

@@ -76,13 +76,8 @@ fn people(stage: &Stage) -> Vec<Body> {
 
 fn seen(stage: &Stage, rig: &Rig) -> Vec<Vec<Dot>> {
     let people = people(stage);
-    let what = Imperfections {
-        sigma_px: 0.3,
-        hide: Hide::Each(0.02),
-        merge_px: 3.0,
-        clutter_per_frame: 0.3,
-        reflections: 1,
-    };
+    let what =
+        Imperfections { sigma_px: 0.3, hide: Hide::Each(0.02), merge_px: 3.0, clutter_per_frame: 0.3, reflections: 1 };
     let frame = |frame: usize| {
         let (mut markers, mut capsules) = (Vec::new(), Vec::new());
         for body in &people {

@@ -93,5 +93,4 @@ impl<'a> Frame<'a> {
         }
         self.sights[dot as usize].as_ref().expect("only usable dots are handed out")
     }
-
 }

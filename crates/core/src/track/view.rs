@@ -224,7 +224,7 @@ impl Free {
     fn left_of(&self, x: f64) -> usize {
         let (mut low, mut high) = (0, self.x.len());
         while high - low > COUNTED {
-            let middle = (low + high) / 2;
+            let middle = usize::midpoint(low, high);
             if self.x[middle] < x { low = middle } else { high = middle }
         }
         low + self.x[low..high].iter().map(|&other| usize::from(other < x)).sum::<usize>()
@@ -291,8 +291,7 @@ fn take_sure(edges: &mut Vec<Edge>) -> Vec<(usize, u32)> {
             of_marker[e.who].take_in(e.gain);
             of_dot[e.dot as usize].take_in(e.gain);
         }
-        let sure =
-            |e: &Edge| e.gain > of_marker[e.who].beside(e.gain) + of_dot[e.dot as usize].beside(e.gain);
+        let sure = |e: &Edge| e.gain > of_marker[e.who].beside(e.gain) + of_dot[e.dot as usize].beside(e.gain);
         let taken: Vec<(usize, u32)> = edges.iter().filter(|e| sure(e)).map(|e| (e.who, e.dot)).collect();
         if taken.is_empty() {
             return pairs;

@@ -30,6 +30,8 @@ const OFF_LIMIT: u8 = 10;
 const PULLING: usize = 6;
 const LINK_DOUBT: f64 = 4.0;
 const SMALLEST_COUNT: f64 = 20.0;
+/// A frame's further members may cost this many times what its third does.
+const LESS_RELIABLE: f64 = 3.0;
 /// Frames between two looks for nearer partners of one marker.
 const RENEW: usize = 16;
 
@@ -194,6 +196,17 @@ impl Links {
     /// The markers that place a hidden one best, among those that are known `now`, best first.
     pub fn best(&self, slot: usize, now: &[Option<Vector3<f64>>], most: usize) -> Vec<usize> {
         self.best_of(slot, |other| now.get(other).is_some_and(Option::is_some), most)
+    }
+
+    /// The markers that make a frame for a hidden one: at least three, and others that are not much less reliable.
+    pub fn frame_of(&self, slot: usize, now: &[Option<Vector3<f64>>], most: usize) -> Vec<usize> {
+        let mut best = self.best(slot, now, most);
+        let cost = |other: usize| self.of(slot).iter().find(|l| l.other == other).map_or(f64::INFINITY, Link::cost);
+        if let Some(&third) = best.get(2) {
+            let worst = LESS_RELIABLE * cost(third);
+            best.retain(|&o| cost(o) <= worst);
+        }
+        best
     }
 
     /// The markers that place another one best, among those that are `usable`, best first.

@@ -193,7 +193,7 @@ impl Body {
         if self.fitted >= FITS_PER_FRAME || (framing.fit.is_some() && framing.idle < PATIENCE) {
             return;
         }
-        let neighbours = self.links.best(slot, now, regression::NEIGHBOURS);
+        let neighbours = self.links.frame_of(slot, now, regression::NEIGHBOURS);
         let history: Vec<&Snapshot> = self.recent().collect();
         let lost = self.lost[slot].as_deref().unwrap_or_default();
         let fit = Fit::new(slot, &neighbours, &history, lost, 1.0 / HISTORY_HZ);

@@ -25,13 +25,7 @@ pub struct PaperOptions {
 
 impl Default for PaperOptions {
     fn default() -> Self {
-        Self {
-            fastest_m_per_s: 8.0,
-            link_change_m: 0.03,
-            link_spread_m: 0.015,
-            longest_link_m: 0.6,
-            memory_s: 0.5,
-        }
+        Self { fastest_m_per_s: 8.0, link_change_m: 0.03, link_spread_m: 0.015, longest_link_m: 0.6, memory_s: 0.5 }
     }
 }
 

@@ -151,7 +151,7 @@ fn carried(
     let mut filters = ends.each_ref().map(|e| motion(gap.slot, e));
     let inside: Vec<usize> = (gap.before + 1..gap.after).collect();
     let middle = &places[inside[inside.len() / 2]];
-    let neighbours = links.best(gap.slot, middle, NEIGHBOURS);
+    let neighbours = links.frame_of(gap.slot, middle, NEIGHBOURS);
     let spacing_s = (times_s[times_s.len() - 1] - times_s[0]) / history.len().max(1) as f64;
     let mut fits = ends.each_ref().map(|e| Fit::new(gap.slot, &neighbours, history, e, spacing_s));
     let mut found: Vec<Option<Carried>> = vec![None; inside.len()];

@@ -102,7 +102,7 @@ impl Scene<'_> {
 
     fn best_after(&self, ways: &[Way], block: &Block, exchanged: bool) -> Way {
         let all = ways.iter().map(|way| self.after(way, block, exchanged));
-        all.max_by(|a, b| a.evidence.total_cmp(&b.evidence)).unwrap_or_else(|| Way::default())
+        all.max_by(|a, b| a.evidence.total_cmp(&b.evidence)).unwrap_or_default()
     }
 
     /// A way with one more block.

@@ -212,8 +212,7 @@ fn joints_of(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Pat
     order.sort_by_key(|c| (std::cmp::Reverse(c.length), c.tracklets[0]));
     order.truncate(MOST_FOR_JOINTS);
     let (paths, noise): (Vec<Path>, Vec<f64>) = order.iter().map(|c| path_of(&c.tracklets, c.length)).unzip();
-    let mut long: Vec<usize> =
-        (0..tracklets.len()).filter(|&t| tracklets[t].measured >= SHORTEST_FOR_JOINTS).collect();
+    let mut long: Vec<usize> = (0..tracklets.len()).filter(|&t| tracklets[t].measured >= SHORTEST_FOR_JOINTS).collect();
     long.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].measured), t));
     long.truncate(MOST_FOR_JOINTS);
     let (pieces, pieces_noise): (Vec<Path>, Vec<f64>) =

@@ -186,11 +186,7 @@ fn second_extent(points: &[Vector3<f64>]) -> f64 {
 
 /// Joint centres of what turns about this frame of reference (paths with their noise). The arcs that turn about one centre
 /// are fitted together.
-fn centers_about<'a>(
-    paths: &[Path],
-    members: &[usize],
-    turning: impl Iterator<Item = (&'a Path, f64)>,
-) -> Vec<Path> {
+fn centers_about<'a>(paths: &[Path], members: &[usize], turning: impl Iterator<Item = (&'a Path, f64)>) -> Vec<Path> {
     let Some(poses) = poses(paths, members) else { return Vec::new() };
     let mut arcs: Vec<Arc> = Vec::new();
     for (path, noise) in turning {

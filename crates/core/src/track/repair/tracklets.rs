@@ -21,8 +21,9 @@ const UNKNOWN_SPEED: f64 = 3.0;
 /// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
 const FARTHEST: f64 = 1.5;
 const CLEAR: f64 = 3.0;
-/// Farther away, the forward pass's identity does not count either (spreads); points of other systems jump now and then.
+/// Farther away, the forward pass's identity does not count either (spreads).
 pub const TORN: f64 = 3.0;
+/// The same for points of other systems, which jump now and then.
 pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
@@ -52,23 +53,15 @@ pub struct Tracklet {
 
 impl Tracklet {
     fn starting(first: usize) -> Self {
-        Self {
-            track: 0,
-            first_track: 0,
-            followed: 0.0,
-            first,
-            places: Vec::new(),
-            wide: 0,
-            measured: 0,
-            variance: 0.0,
-        }
+        Self { track: 0, first_track: 0, followed: 0.0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
     }
 
     fn together(parts: &[&Self]) -> Self {
         let first = parts.iter().map(|p| p.first).min().unwrap_or(0);
         let last = parts.iter().map(|p| p.last()).max().unwrap_or(0);
         let newest = parts.iter().max_by_key(|p| p.last()).map_or(0, |p| p.track);
-        let (first_track, followed) = parts.iter().min_by_key(|p| p.first).map_or((0, 0.0), |p| (p.first_track, p.followed));
+        let (first_track, followed) =
+            parts.iter().min_by_key(|p| p.first).map_or((0, 0.0), |p| (p.first_track, p.followed));
         let places = vec![None; last + 1 - first];
         let mut whole = Self { track: newest, first_track, followed, places, ..Self::starting(first) };
         for part in parts {
@@ -142,8 +135,7 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
         open.retain(|&t| !changed.iter().any(|c| c.0 == tracklets[t].track || c.1 == tracklets[t].track));
         let is_own = |s: &Sample| s.kind == Kind::Measured && believed.binary_search(&s.track).is_ok();
         let own: Vec<usize> = (0..frame.samples.len()).filter(|&i| is_own(&frame.samples[i])).collect();
-        let ahead: Vec<Ahead> =
-            open.iter().map(|&t| Ahead::of(&tracklets[t], index, times_s, acceleration)).collect();
+        let ahead: Vec<Ahead> = open.iter().map(|&t| Ahead::of(&tracklets[t], index, times_s, acceleration)).collect();
         let goes_on = continuations(&ahead, own.iter().map(|&i| &frame.samples[i]), torn);
         let mut owners = vec![None; frame.samples.len()];
         for (&i, goes_on) in own.iter().zip(goes_on) {
@@ -230,10 +222,8 @@ fn off_the_line(
 /// Numbers of wholes, by part, where `host` is what a part belongs to; a host is never a part itself.
 fn numbered(host: &[Option<usize>]) -> Vec<usize> {
     let mut number = vec![0; host.len()];
-    let mut count = 0;
-    for i in (0..host.len()).filter(|&i| host[i].is_none()) {
+    for (count, i) in (0..host.len()).filter(|&i| host[i].is_none()).enumerate() {
         number[i] = count;
-        count += 1;
     }
     for i in 0..host.len() {
         if let Some(h) = host[i] {
