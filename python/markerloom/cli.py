@@ -231,7 +231,7 @@ def track(
 
     Without a calibration, the take holds points of any system, anonymous or broken.
 
-    Examples: markerloom track take.x2d --calibration take.xcp -o trajectories.c3d --rate-hz 100
+    Example: markerloom track take.x2d --calibration take.xcp -o trajectories.c3d --rate-hz 100
     · markerloom track broken.c3d -o trajectories.c3d
     """
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}

@@ -113,8 +113,9 @@ impl Crowd {
     pub fn samples(&self, visible: impl Fn(&Vector3<f64>) -> bool) -> Vec<Sample> {
         let given = |m: &Marker| {
             let sample = m.sample();
-            let vague = sample.covariance.trace().sqrt() > self.options.largest_sigma_m;
-            (sample.kind == Kind::Measured || (m.confirmed && !vague && visible(&sample.point))).then_some(sample)
+            // Not so for a covariance that rounding has left without a spread.
+            let known = sample.covariance.trace().sqrt() <= self.options.largest_sigma_m;
+            (sample.kind == Kind::Measured || (m.confirmed && known && visible(&sample.point))).then_some(sample)
         };
         self.markers.iter().filter_map(given).collect()
     }
