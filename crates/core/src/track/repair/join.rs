@@ -44,11 +44,11 @@ const UNSEEN_BY_LENGTH: f64 = 0.03;
 const UNSEEN_WORTH: f64 = 2.0;
 /// Acceleration that a limb may undergo unseen (m/s²), and the fastest marker (m/s).
 const ACCELERATION: f64 = 25.0;
+const FASTEST: f64 = 9.0;
 /// How often a limb's acceleration turns into another (1/s).
 const CHANGES_PER_S: f64 = 6.0;
 /// What it says that the forward pass followed a marker from one tracklet to the next by its rays (nats).
 const FOLLOWED: f64 = 4.0;
-const FASTEST: f64 = 9.0;
 /// Volume in which another marker could as well have appeared (m³), and bounds of the evidence of motion (nats).
 const ELSEWHERE: f64 = 0.2;
 const MOTION_FOR: f64 = 8.0;

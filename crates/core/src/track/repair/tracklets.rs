@@ -1,7 +1,8 @@
 //! Stretches of a trajectory within which the identity is beyond doubt.
 //!
 //! A recorded trajectory is cut where a marker was hidden for more than a moment, where two markers came so near
-//! that they may have been exchanged, and where the forward pass gave one marker's points to another. What belongs together is decided anew, with the whole take in view (`join.rs`).
+//! that they may have been exchanged, and where the forward pass gave one marker's points to another. What belongs
+//! together is decided anew, with the whole take in view (`join.rs`).
 
 use crate::track::{Kind, Sample, Tracked};
 use nalgebra::Vector3;
@@ -384,7 +385,7 @@ impl Nearest {
 }
 
 /// Acceleration that is rarely exceeded in this take (m/s²): its 95 % quantile over what the forward pass followed.
-pub fn usual_acceleration(frames: &[Tracked], times_s: &[f64]) -> f64 {
+fn usual_acceleration(frames: &[Tracked], times_s: &[f64]) -> f64 {
     let place = |f: usize, track: u32| {
         let samples = &frames[f].samples;
         let at = samples.binary_search_by_key(&track, |s| s.track).ok()?;
