@@ -3,13 +3,13 @@
 
 use super::body::{Body, Seen};
 use super::clock::{Clock, Moment, TimeError};
-use super::filter::Step;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::rematch;
 use super::{Kind, Sample, TrackOptions};
 use crate::correspond::Group;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 
 /// Markers that steer a lost one.
 const STEERING: usize = 3;
@@ -22,13 +22,23 @@ pub struct Crowd {
     pub body: Body,
     slots: Vec<bool>,
     next_track: u32,
+    /// Frames in which two trajectories, by identity, shared one marker's cameras out between them.
+    pub suspected: BTreeMap<(u32, u32), i32>,
 }
 
 impl Crowd {
     /// Nobody yet.
     pub fn new(rate_hz: f64, options: TrackOptions) -> Result<Self, TimeError> {
         let clock = Clock::new(rate_hz)?;
-        Ok(Self { options, clock, markers: Vec::new(), body: Body::default(), slots: Vec::new(), next_track: 0 })
+        Ok(Self {
+            options,
+            clock,
+            markers: Vec::new(),
+            body: Body::default(),
+            slots: Vec::new(),
+            next_track: 0,
+            suspected: BTreeMap::new(),
+        })
     }
 
     /// Whether no marker was ever born.
@@ -37,14 +47,14 @@ impl Crowd {
     }
 
     /// Moves to the next frame: predictions of all markers; of hidden ones also by their neighbours' predicted places.
-    pub fn advance(&mut self, moment: Moment) -> Result<Step, TimeError> {
+    pub fn advance(&mut self, moment: Moment) -> Result<(), TimeError> {
         let step = self.clock.advance(moment)?;
         for marker in &mut self.markers {
             marker.predict(&step);
         }
         let now = self.places(|m| m.is_live().then_some(m.filter.position));
         self.carry(&now);
-        Ok(step)
+        Ok(())
     }
 
     /// Places of confirmed markers by slot.
@@ -88,12 +98,12 @@ impl Crowd {
     }
 
     /// Filters take in the measurements; markers count their hits and misses.
-    pub fn settle(&mut self, step: &Step) {
+    pub fn settle(&mut self) {
         let time_s = self.clock.time_s;
         let velocities = self.places(|m| m.is_live().then_some(m.filter.velocity));
         for marker in &mut self.markers {
             let (body, slot) = (&self.body, marker.slot);
-            marker.settle(step, time_s, || mean_velocity(body, slot, &velocities));
+            marker.settle(time_s, || mean_velocity(body, slot, &velocities));
         }
     }
 
@@ -126,10 +136,14 @@ impl Crowd {
         let seen: Vec<Seen> =
             self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
         self.body.learn(&seen, time_s);
-        for marker in &self.markers {
-            if marker.is_gone(time_s, self.options.memory_s) {
-                self.slots[marker.slot] = false;
-            }
+        let memory_s = self.options.memory_s;
+        self.forget(|m| m.is_gone(time_s, memory_s));
+    }
+
+    /// Forgets some of the markers; their slots are free for others.
+    pub fn forget(&mut self, which: impl Fn(&Marker) -> bool) {
+        for marker in self.markers.iter().filter(|m| which(m)) {
+            self.slots[marker.slot] = false;
         }
         let slots = &self.slots;
         self.markers.retain(|m| slots[m.slot]);

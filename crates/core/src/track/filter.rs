@@ -12,6 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 pub const ACCELERATION_TIME_S: f64 = 0.15;
 /// Spread of the speed of a marker that has just appeared (m/s).
 const FIRST_SPEED: f64 = 1.5;
+/// Spread of the speed of a marker that was pushed (m/s), at least.
+const PUSHED_SPEED: f64 = 3.0;
 
 /// What a time step does to any filter.
 #[derive(Clone, Copy, Debug)]
@@ -139,15 +141,12 @@ impl Filter {
         }
     }
 
-    /// Admits an unforeseen push within the last step: the acceleration had this much more spread (m/s²).
-    pub fn admit_push(&mut self, step: &Step, acceleration_std: f64) {
-        let (t, variance) = (step.dt_s, acceleration_std * acceleration_std);
-        let gains = [0.25 * t.powi(4), 0.5 * t.powi(3), 0.5 * t * t, t * t, t, 1.0];
-        for (block, gain) in self.blocks.iter_mut().zip(gains) {
-            for i in 0..3 {
-                block[(i, i)] += variance * gain;
-            }
-        }
+    /// Admits that the marker was pushed: where it is now is open by a distance (m), how fast it goes by its speed's spread.
+    /// Nothing is concluded from the jump, which may as well be another marker's.
+    pub fn admit_push(&mut self, away: f64, acceleration_std: f64) {
+        let covariance = self.blocks[PP] + Matrix3::identity() * (away * away);
+        let speed_std = (self.blocks[VV].trace() / 3.0).sqrt().max(PUSHED_SPEED);
+        *self = Self::moving(self.position, &covariance, self.velocity, speed_std, acceleration_std);
     }
 
     /// Measurement update, equations 14–16: the position and its covariance after a measurement; the rest follows.

@@ -5,6 +5,11 @@ use crate::correspond::scene::Scene;
 use crate::sight::Sight;
 use nalgebra::Vector2;
 
+/// New or unexplained markers per image.
+const UNKNOWN_PER_IMAGE: f64 = 0.1;
+/// A reflection says nothing about a dot so far away (squared, in its spreads).
+const BESIDE: f64 = 50.0;
+
 /// A frame in work.
 pub struct Frame<'a> {
     /// The dots as they came.
@@ -15,6 +20,8 @@ pub struct Frame<'a> {
     pub by_camera: Vec<Vec<u32>>,
     /// Largest noise of each camera's dots (px).
     pub widest_sigma_px: Vec<f64>,
+    /// Logarithm of the density (px⁻²) of dots that belong to nothing known, at each dot: clutter, fixed reflections.
+    pub ln_alone: Vec<f64>,
     /// Whether nobody owns the dot yet.
     pub free: Vec<bool>,
     /// Dots that markers look at without owning them; numbered after the frame's own.
@@ -30,6 +37,7 @@ impl<'a> Frame<'a> {
             sights: Vec::with_capacity(dots.len()),
             by_camera: vec![Vec::new(); cameras],
             widest_sigma_px: vec![0.0; cameras],
+            ln_alone: Vec::with_capacity(dots.len()),
             free: vec![true; dots.len()],
             borrowed: Vec::new(),
         };
@@ -46,6 +54,7 @@ impl<'a> Frame<'a> {
                 frame.free[index] = false;
             }
             frame.sights.push(sight);
+            frame.ln_alone.push(ln_alone(scene, dot.camera, pixel));
         }
         for own in &mut frame.by_camera {
             own.sort_unstable_by(|&a, &b| {
@@ -93,4 +102,17 @@ impl<'a> Frame<'a> {
         }
         self.sights[dot as usize].as_ref().expect("only usable dots are handed out")
     }
+}
+
+fn ln_alone(scene: &Scene, camera: usize, pixel: Vector2<f64>) -> f64 {
+    let [width, height] = scene.rig.cameras[camera].size_px;
+    let mut density = (scene.model.clutter[camera] + UNKNOWN_PER_IMAGE) / (width * height);
+    for reflection in &scene.model.reflections[camera] {
+        let variance = reflection.spread_px * reflection.spread_px;
+        let squared = (pixel - Vector2::from(reflection.pixel)).norm_squared() / variance;
+        if squared < BESIDE {
+            density += reflection.rate * (-0.5 * squared).exp() / (std::f64::consts::TAU * variance);
+        }
+    }
+    density.ln()
 }

@@ -79,9 +79,31 @@ impl LocateGates {
     }
 }
 
-/// The position that most of the dots agree on; `None` if not even one fits the prediction.
+/// The position that the dots agree on; `None` if not even one fits the prediction. Where they fall apart, those near
+/// the prediction come first if two of them meet: more dots farther away are another marker's.
 pub fn locate(scene: &Scene, gates: &LocateGates, frame: &Frame, dots: &[u32], prior: &Prior) -> Option<Located> {
-    let information = prior.wide().try_inverse()?;
+    let wide = prior.wide();
+    let pushed = agreeing(scene, gates, frame, dots, prior, &wide)?;
+    if pushed.dots.len() < dots.len()
+        && let Some(calm) = agreeing(scene, gates, frame, dots, prior, &prior.covariance)
+        && calm.dots.len() >= 2
+        && !calm.dots.iter().all(|d| pushed.dots.contains(d))
+    {
+        return Some(calm);
+    }
+    Some(pushed)
+}
+
+/// The position that most of the dots agree on, for a prediction with this covariance (m²).
+fn agreeing(
+    scene: &Scene,
+    gates: &LocateGates,
+    frame: &Frame,
+    dots: &[u32],
+    prior: &Prior,
+    covariance: &Matrix3<f64>,
+) -> Option<Located> {
+    let information = covariance.try_inverse()?;
     let mut dots = dots.to_vec();
     loop {
         let sights: Vec<&Sight> = dots.iter().map(|&d| frame.sight(d)).collect();

@@ -14,10 +14,11 @@ const ACCELERATION_RANGE: [f64; 2] = [1.0, 400.0];
 /// The spread follows the innovations: fast up, slowly down (per frame and unit of normalised squared innovation).
 const RISE: f64 = 0.2;
 const FALL: f64 = 0.05;
-const LARGEST_RATIO: f64 = 6.0;
-/// A push is this much stronger than the usual acceleration, and at least so strong (m/s²).
+const LARGEST_RATIO: f64 = 3.0;
+/// A push is this much stronger than the usual acceleration, and within these bounds (m/s²).
 const PUSH: f64 = 8.0;
 const LEAST_PUSH: f64 = 60.0;
+const LARGEST_PUSH: f64 = 200.0;
 /// Squared innovation (χ², 3 degrees, 1e-3) beyond which there was a push.
 const PUSHED: f64 = 16.3;
 /// Hidden for longer, a marker's own motion says nothing about its speed any more (s).
@@ -104,6 +105,16 @@ impl Marker {
         self.located.as_ref().is_some_and(|l| l.own >= 2)
     }
 
+    /// Number of dots of its own in this frame.
+    pub fn own_dots(&self) -> usize {
+        self.located.as_ref().map_or(0, |l| l.own)
+    }
+
+    /// Position and covariance after this frame.
+    pub fn state(&self) -> &(Vector3<f64>, Matrix3<f64>) {
+        &self.state
+    }
+
     /// Where it was found.
     pub fn found_at(&self) -> Option<Vector3<f64>> {
         self.is_found().then(|| self.located.as_ref().map(|l| l.point)).flatten()
@@ -112,7 +123,7 @@ impl Marker {
     /// Time update.
     pub fn predict(&mut self, step: &Step) {
         self.filter.predict(step, self.acceleration);
-        let push = (PUSH * self.acceleration).max(LEAST_PUSH);
+        let push = (PUSH * self.acceleration).clamp(LEAST_PUSH, LARGEST_PUSH);
         self.prior = Prior {
             point: self.filter.position,
             covariance: *self.filter.covariance(),
@@ -192,7 +203,7 @@ impl Marker {
     }
 
     /// Measurement update; `drift` tells how the marker's neighbours move, where that is needed.
-    pub fn settle(&mut self, step: &Step, time_s: f64, drift: impl FnOnce() -> Option<Vector3<f64>>) {
+    pub fn settle(&mut self, time_s: f64, drift: impl FnOnce() -> Option<Vector3<f64>>) {
         let Some(located) = &self.located else {
             self.state = (self.prior.point, self.prior.covariance);
             self.missed(drift);
@@ -215,7 +226,7 @@ impl Marker {
         if astray || std::mem::take(&mut self.exchanged) {
             self.restart(&information, &pull, drift());
         } else {
-            self.settle_live(step, &information);
+            self.settle_live(&information);
         }
         (self.live, self.seen_s, self.misses) = (true, time_s, 0);
         self.hits += 1;
@@ -249,13 +260,13 @@ impl Marker {
     }
 
     /// The usual update of a marker that is followed without a break.
-    fn settle_live(&mut self, step: &Step, information: &Matrix3<f64>) {
+    fn settle_live(&mut self, information: &Matrix3<f64>) {
         let Some(located) = &self.located else { return };
         let pull = located.pull_from(&self.filter.position);
         let squared = squared_innovation(self.filter.covariance(), information, &pull);
         if squared > PUSHED {
             let away = (located.point - self.filter.position).norm();
-            self.filter.admit_push(step, 2.0 * away / step.dt_s.powi(2));
+            self.filter.admit_push(away, self.acceleration);
         }
         if self.live {
             let excess = (squared / 3.0).min(LARGEST_RATIO) - 1.0;

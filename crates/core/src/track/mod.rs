@@ -7,7 +7,8 @@
 //! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
 //! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
 //!    markers first (`rematch.rs`; §5.2's global re-matching), what is left may be born;
-//! 5. **settle**: filters and the dynamic model learn, births are confirmed, the lost are forgotten after a while.
+//! 5. **settle**: filters and the dynamic model learn, births are confirmed, second trajectories of one marker are given
+//!    up (`duplicate.rs`), the lost are forgotten after a while.
 //!
 //! The tracker is causal and deterministic: what [`Tracker::push`] returns depends on the frames so far and on nothing
 //! else. What later frames reveal is worked in by `repair/`, over a whole take.
@@ -16,6 +17,7 @@ mod adapt;
 pub mod body;
 mod clock;
 mod crowd;
+mod duplicate;
 mod exchange;
 pub mod filter;
 mod frame;
@@ -225,7 +227,7 @@ impl Tracker {
     }
 
     fn push_sorted(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
-        let step = self.crowd.advance(moment)?;
+        self.crowd.advance(moment)?;
         self.adapt(dots);
         let mut frame = Frame::new(&self.scene, dots);
         self.assign(&mut frame, |m| m.confirmed);
@@ -240,7 +242,8 @@ impl Tracker {
             self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
         }
         self.crowd.exchange();
-        self.crowd.settle(&step);
+        self.crowd.settle();
+        self.crowd.drop_duplicates(&frame);
         self.give_birth(&frame, &groups);
         let samples = self.crowd.samples(|p| self.scene.model.region.contains(p));
         self.crowd.learn_and_forget();

@@ -57,7 +57,7 @@ impl PointTracker {
 
     /// Follows the markers into the next frame; a sample's dot is the index of its point.
     pub fn push(&mut self, points: &[MeasuredPoint], moment: Moment) -> Result<Tracked, TimeError> {
-        let step = self.crowd.advance(moment)?;
+        self.crowd.advance(moment)?;
         let mut free = vec![true; points.len()];
         self.assign(points, &mut free, |m| m.confirmed && m.is_live());
         self.crowd.carry_lost();
@@ -65,7 +65,7 @@ impl PointTracker {
         self.assign(points, &mut free, |m| !m.confirmed);
         self.rematch(points, &mut free);
         self.crowd.exchange();
-        self.crowd.settle(&step);
+        self.crowd.settle();
         for (index, point) in points.iter().enumerate().filter(|(i, _)| free[*i]) {
             if let Some(found) = Located::measured(index as u32, point.point, &point.covariance()) {
                 self.crowd.give_birth(found, CONFIDENCE, false);

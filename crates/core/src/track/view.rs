@@ -59,8 +59,6 @@ const LN_NOT_PUSHED: f64 = -0.018_5;
 const LN_REAPPEARS: f64 = -4.0;
 /// Squared innovation (standard deviations) beyond which a dot is not looked at: χ², 2 degrees, 1e-4.
 const GATE: f64 = 18.4;
-/// New or unexplained markers per image, for the density of dots that belong to nothing known.
-const UNKNOWN_PER_IMAGE: f64 = 0.1;
 /// Views from which on sharing them out among threads pays.
 const WORTH_SHARING: usize = 4000;
 /// Dots that are counted one by one instead of halving on.
@@ -157,7 +155,7 @@ fn match_camera(
         return Vec::new();
     }
     let detection = scene.model.detection;
-    let base = (detection / (1.0 - detection)).ln() - ln_alone(scene, camera);
+    let base = (detection / (1.0 - detection)).ln();
     let mut edges = Vec::with_capacity(2 * free.dots.len());
     for (who, prior) in priors.iter().enumerate() {
         let Some(prior) = prior.as_ref().filter(|_| wanted(who)) else { continue };
@@ -168,18 +166,14 @@ fn match_camera(
     best_pairs(edges)
 }
 
-/// Logarithm of the density (px⁻²) of dots that belong to nothing known.
-fn ln_alone(scene: &Scene, camera: usize) -> f64 {
-    let [width, height] = scene.rig.cameras[camera].size_px;
-    ((scene.model.clutter[camera] + UNKNOWN_PER_IMAGE) / (width * height)).ln()
-}
-
 /// Free dots of one camera, by ascending x.
 struct Free {
     dots: Vec<u32>,
     x: Vec<f64>,
     y: Vec<f64>,
     sigma_px: Vec<f64>,
+    /// Logarithm of the density (px⁻²) of dots there that belong to nothing known.
+    ln_alone: Vec<f64>,
     widest_sigma_px: f64,
 }
 
@@ -189,7 +183,8 @@ impl Free {
         let x = dots.iter().map(|&d| frame.pixel(d).x).collect();
         let y = dots.iter().map(|&d| frame.pixel(d).y).collect();
         let sigma_px = dots.iter().map(|&d| frame.sigma_px(d)).collect();
-        Self { dots, x, y, sigma_px, widest_sigma_px: frame.widest_sigma_px[camera] }
+        let ln_alone = dots.iter().map(|&d| frame.ln_alone[d as usize]).collect();
+        Self { dots, x, y, sigma_px, ln_alone, widest_sigma_px: frame.widest_sigma_px[camera] }
     }
 
     /// A marker's view, and the dots that may be within its gate; `None` if there are none. Most hidden markers end here.
@@ -214,7 +209,7 @@ impl Free {
                 mixture = Mixture::new(view, self.sigma_px[at]);
             }
             let offset = Vector2::new(self.x[at], self.y[at]) - view.pixel;
-            if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln).filter(|g| *g > 0.0) {
+            if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln - self.ln_alone[at]).filter(|g| *g > 0.0) {
                 edges.push(Edge { who: view.who, dot: self.dots[at], gain });
             }
         }
