@@ -233,6 +233,7 @@ impl Tracker {
         self.assign(&mut frame, |m| m.confirmed);
         self.search(&mut frame);
         self.assign(&mut frame, |m| !m.confirmed);
+        self.give_back(&mut frame);
         self.regate(&mut frame);
         self.share(&mut frame);
         let searched = self.fall_back(&frame);

@@ -9,7 +9,7 @@ use super::join::{Distances, Link, Scene};
 use rayon::prelude::*;
 
 /// What it costs that motion cannot lead from one tracklet to the next (nats).
-const IMPOSSIBLE: f64 = -30.0;
+pub(super) const IMPOSSIBLE: f64 = -30.0;
 
 /// A better distribution of two chains' tracklets.
 pub(super) struct Swap {

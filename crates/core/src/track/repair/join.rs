@@ -17,11 +17,12 @@ const ENOUGH: [f64; 6] = [8.0, 5.0, 3.0, 1.0, -1.0, -3.0];
 const ENOUGH_FOR_FLICKERS: [f64; 3] = [8.0, 5.0, 2.0];
 /// Evidence below which no pair is looked at (nats).
 const LEAST_EVIDENCE: f64 = 4.0;
-/// Rounds of exchanging, and the evidence that an exchange needs (nats).
+/// Rounds of exchanging and of relabelling, and the evidence that they need (nats).
 const EXCHANGES: usize = 30;
+const RELABELLINGS: usize = 12;
 const WORTH_EXCHANGING: f64 = 1.0;
 /// Frames looked at per comparison.
-const FRAMES: usize = 10;
+pub(super) const FRAMES: usize = 10;
 /// Frames from which a trajectory's links are learned.
 const PROFILE_FRAMES: usize = 80;
 /// Other trajectories asked; witnesses are not independent, so each counts in part.
@@ -75,7 +76,7 @@ pub struct Chain {
 
 /// A witness: another chain, and the distance to it.
 pub(super) struct Link {
-    other: usize,
+    pub(super) other: usize,
     mean: f64,
     /// Spread seen (m), without the positions' noise.
     spread: f64,
@@ -93,8 +94,13 @@ impl Link {
         RIGID + self.spread + self.unseen * (BEYOND_SEEN * self.spread + BEYOND_LENGTH * self.mean)
     }
 
+    /// What the link's evidence counts: witnesses are not independent.
+    pub(super) fn weight(&self) -> f64 {
+        SHARE + (1.0 - SHARE) * self.rigid
+    }
+
     /// Logarithm of how much better this link explains a distance than "another marker" does.
-    fn evidence(&self, distance: f64) -> f64 {
+    pub(super) fn evidence(&self, distance: f64) -> f64 {
         let off = (distance - self.mean).powi(2);
         let density = |variance: f64| (-0.5 * off / variance).exp() / variance.sqrt();
         let loose = self.loose();
@@ -118,6 +124,12 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
     for _ in 0..EXCHANGES {
         let joints = joints_of(tracklets, &chains, times_s.len());
         if !exchange(tracklets, times_s, &mut chains, &joints) {
+            break;
+        }
+    }
+    for _ in 0..RELABELLINGS {
+        let joints = joints_of(tracklets, &chains, times_s.len());
+        if !relabel(tracklets, times_s, &mut chains, &joints) {
             break;
         }
     }
@@ -145,6 +157,29 @@ fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, jo
         }
         (touched[swap.one], touched[swap.other], changed) = (true, true, true);
         for (c, own) in [(swap.one, swap.ones), (swap.other, swap.others)] {
+            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
+            chains[c].tracklets = own;
+        }
+    }
+    chains.retain(|c| !c.tracklets.is_empty());
+    changed
+}
+
+/// Every chain and its nearest ones hand out their tracklets anew (`relabel.rs`); those that gain the most do so. Whether
+/// anything changed.
+fn relabel(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
+    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
+    let mut found = Scene { tracklets, times_s, chains, by_frame }.relabellings();
+    found.retain(|r| r.gain > WORTH_EXCHANGING);
+    found.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.chains.cmp(&b.chains)));
+    let mut touched = vec![false; chains.len()];
+    let mut changed = false;
+    for one in found {
+        if one.chains.iter().any(|&c| touched[c]) {
+            continue;
+        }
+        for (&c, own) in one.chains.iter().zip(one.tracklets) {
+            (touched[c], changed) = (true, true);
             chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
             chains[c].tracklets = own;
         }
@@ -256,9 +291,9 @@ pub(super) type Distances = Vec<(usize, f64)>;
 
 pub(super) struct Scene<'a> {
     pub(super) tracklets: &'a [Tracklet],
-    times_s: &'a [f64],
+    pub(super) times_s: &'a [f64],
     pub(super) chains: &'a [Chain],
-    by_frame: Vec<Vec<(usize, Vector3<f64>)>>,
+    pub(super) by_frame: Vec<Vec<(usize, Vector3<f64>)>>,
 }
 
 impl Scene<'_> {
@@ -304,7 +339,7 @@ impl Scene<'_> {
     }
 
     /// Positions of a chain in some of its frames.
-    fn samples(&self, chain: usize, most: usize) -> Vec<(usize, Vector3<f64>)> {
+    pub(super) fn samples(&self, chain: usize, most: usize) -> Vec<(usize, Vector3<f64>)> {
         let own = &self.chains[chain];
         let mut found = Vec::new();
         for &t in &own.tracklets {
@@ -402,7 +437,7 @@ impl Scene<'_> {
                 }
             }
             if n > 0.0 {
-                total += (SHARE + (1.0 - SHARE) * link.rigid) * sum / n;
+                total += link.weight() * sum / n;
                 asked += 1;
                 if asked == WITNESSES {
                     break;

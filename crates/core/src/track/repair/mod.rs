@@ -10,6 +10,7 @@ mod exchange;
 pub mod extend;
 pub mod join;
 pub mod joints;
+mod relabel;
 pub mod tracklets;
 
 use super::{Sample, TrackOptions, Tracked};

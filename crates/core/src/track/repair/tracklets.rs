@@ -22,6 +22,8 @@ const UNKNOWN_SPEED: f64 = 3.0;
 /// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
 const FARTHEST: f64 = 1.5;
 const CLEAR: f64 = 3.0;
+/// An uncertain motion (m) does not lead to what the forward pass took for another marker.
+const SURE_SPREAD: f64 = 0.012;
 /// Farther away, the forward pass's identity does not count either (spreads).
 pub const TORN: f64 = 3.0;
 /// The same for points of other systems, which jump now and then.
@@ -143,7 +145,7 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
             let tracklet = goes_on.map_or(tracklets.len(), |k| open[k]);
             if tracklet == tracklets.len() {
                 let track = frame.samples[i].track;
-                let followed = hidden.get(&track).map_or(0.0, |h| h[1] / h[0].max(1.0));
+                let followed = hidden.get(&track).map_or(0.0, |h| if h[0] == 0.0 { 1.0 } else { h[1] / h[0].max(1.0) });
                 tracklets.push(Tracklet { first_track: track, followed, ..Tracklet::starting(index) });
                 open.push(tracklet);
             }
@@ -346,6 +348,10 @@ fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>,
     let samples: Vec<&Sample> = samples.collect();
     let places: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
     let mut found = clear_pairs(ahead, &places);
+    for (sample, found) in samples.iter().zip(&mut found) {
+        let believable = |k: &usize| ahead[*k].track == sample.track || ahead[*k].spread < SURE_SPREAD;
+        *found = found.filter(believable);
+    }
     let mut taken = vec![false; ahead.len()];
     found.iter().flatten().for_each(|&k| taken[k] = true);
     for (sample, found) in samples.iter().zip(&mut found).filter(|(_, f)| f.is_none()) {
