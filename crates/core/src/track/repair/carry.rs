@@ -71,7 +71,7 @@ fn sample_of(track: u32, carried: &Carried, confidence: f64) -> Sample {
     }
 }
 
-fn tracks_of(frames: &[Tracked]) -> Vec<u32> {
+pub(super) fn tracks_of(frames: &[Tracked]) -> Vec<u32> {
     let mut tracks: Vec<u32> = frames.iter().flat_map(|f| &f.samples).map(|s| s.track).collect();
     tracks.sort_unstable();
     tracks.dedup();
@@ -91,7 +91,7 @@ fn slot_of(tracks: &[u32], sample: &Sample) -> Option<usize> {
     (sample.kind == Kind::Measured).then(|| tracks.binary_search(&sample.track).ok()).flatten()
 }
 
-fn snapshots(frames: &[Tracked], tracks: &[u32]) -> Vec<Snapshot> {
+pub(super) fn snapshots(frames: &[Tracked], tracks: &[u32]) -> Vec<Snapshot> {
     let snapshot = |frame: &Tracked| {
         let mut places = vec![None; tracks.len()];
         for sample in &frame.samples {
@@ -118,7 +118,7 @@ fn gaps_of(places: &[Snapshot], slots: usize, times_s: &[f64], longest_s: f64) -
     gaps
 }
 
-fn learned_links(frames: &[Tracked], tracks: &[u32]) -> Links {
+pub(super) fn learned_links(frames: &[Tracked], tracks: &[u32]) -> Links {
     let mut links = Links::default();
     links.reserve(tracks.len());
     for frame in frames.iter().step_by(frames.len().div_ceil(LINK_FRAMES).max(1)) {
@@ -135,7 +135,7 @@ fn learned_links(frames: &[Tracked], tracks: &[u32]) -> Links {
     links
 }
 
-fn spread(places: &[Snapshot]) -> Vec<&Snapshot> {
+pub(super) fn spread(places: &[Snapshot]) -> Vec<&Snapshot> {
     places.iter().step_by(places.len().div_ceil(HISTORY).max(1)).rev().collect()
 }
 

@@ -1,11 +1,14 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong.
-//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion.
-//! 3. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
-//! 4. [`carry`]: what stays hidden is predicted from both ends of each gap.
+//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
+//!    (`exchange`) and whole limbs (`relabel`) hand out their pieces anew.
+//! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
+//! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
+//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap.
 
 pub mod carry;
+mod confusion;
 mod exchange;
 pub mod extend;
 pub mod join;
@@ -17,6 +20,7 @@ use super::{Sample, TrackOptions, Tracked};
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
 use carry::carry;
+use confusion::untangle;
 use extend::extend;
 use join::{Chain, join};
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
@@ -56,7 +60,9 @@ fn identify(frames: &[Tracked], times_s: &[f64], torn: f64) -> Vec<Tracked> {
         samples.sort_by_key(|s| s.track);
         Tracked { samples, ..*frame }
     };
-    frames.iter().zip(&owner).map(renamed).collect()
+    let mut named: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
+    untangle(&mut named, times_s);
+    named
 }
 
 /// Identity of each tracklet: the first of its chain's; `None` for what is no marker.

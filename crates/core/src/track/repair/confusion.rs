@@ -1,0 +1,229 @@
+//! Two near markers taken for each other, found out frame by frame.
+//!
+//! Distances tell two markers of one part hardly apart when they sit near each other; their places in the frame of their
+//! neighbours do (`body/regression.rs`, with the whole take as history). If both are measured, an exchange turns the
+//! vector between them round; if one is, it is nearer to the one's place or the other's. Which of them is which changes
+//! rarely, and is found for all frames at once (Viterbi 1967): a change costs what motion says against it.
+
+use super::super::Tracked;
+use super::super::body::Snapshot;
+use super::super::body::links::Links;
+use super::super::body::regression::{Fit, NEIGHBOURS};
+use super::carry::{learned_links, snapshots, spread, tracks_of};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Markers farther apart than this, by median, are not taken for each other (m).
+const NEAR: f64 = 0.12;
+/// Frames that two markers must share, and frames of reference tried for a pair.
+const SHARED: usize = 20;
+const FRAMES_OF_REFERENCE: usize = 8;
+/// The neighbours tell two markers apart if the vector between them points along or against what is expected (cosine) in
+/// almost all frames.
+const ALIGNED: f64 = 0.8;
+const CLEAR: f64 = 0.95;
+/// Evidence of one frame at most (nats): with both measured; with one, for each second.
+const BOTH: f64 = 4.0;
+const ONE_PER_S: f64 = 20.0;
+/// What a change costs where one of them is hidden (nats), and the spread of the motion between two frames (m), which says
+/// so much at most.
+const CHANGE: f64 = 3.0;
+const MOTION: f64 = 0.004;
+const MOST_OF_MOTION: f64 = 12.0;
+/// Evidence that changes need in all (nats), and rounds.
+const WORTH_CHANGING: f64 = 5.0;
+const ROUNDS: usize = 3;
+/// Least error of a place in the frame of its neighbours (m).
+const LEAST_ERROR: f64 = 0.002;
+
+/// Gives back what two near markers have of each other.
+pub fn untangle(frames: &mut [Tracked], times_s: &[f64]) {
+    for _ in 0..ROUNDS {
+        let tracks = tracks_of(frames);
+        let take = Take::new(frames, &tracks, times_s);
+        let mut found: Vec<(f64, [usize; 2], Vec<bool>)> = take
+            .pairs()
+            .into_par_iter()
+            .filter_map(|pair| take.changed(pair).map(|(gain, c)| (gain, pair, c)))
+            .collect();
+        found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut touched = vec![false; tracks.len()];
+        for (_, [a, b], changed) in &found {
+            if !touched[*a] && !touched[*b] {
+                (touched[*a], touched[*b]) = (true, true);
+                exchange(frames, [tracks[*a], tracks[*b]], changed);
+            }
+        }
+        if found.is_empty() {
+            break;
+        }
+    }
+}
+
+fn exchange(frames: &mut [Tracked], [a, b]: [u32; 2], changed: &[bool]) {
+    for (frame, _) in frames.iter_mut().zip(changed).filter(|(_, c)| **c) {
+        for sample in &mut frame.samples {
+            sample.track = match sample.track {
+                t if t == a => b,
+                t if t == b => a,
+                t => t,
+            };
+        }
+        frame.samples.sort_by_key(|s| s.track);
+    }
+}
+
+struct Take<'a> {
+    times_s: &'a [f64],
+    places: Vec<Snapshot>,
+    links: Links,
+    slots: usize,
+}
+
+/// What one frame says: places of the two markers, and where they should be by their neighbours.
+#[derive(Clone, Copy, Default)]
+struct Look {
+    places: [Option<Vector3<f64>>; 2],
+    expected: Option<[Vector3<f64>; 2]>,
+}
+
+impl<'a> Take<'a> {
+    fn new(frames: &[Tracked], tracks: &[u32], times_s: &'a [f64]) -> Self {
+        let places = snapshots(frames, tracks);
+        Self { times_s, places, links: learned_links(frames, tracks), slots: tracks.len() }
+    }
+
+    /// Pairs of markers that are near each other.
+    fn pairs(&self) -> Vec<[usize; 2]> {
+        let sample: Vec<&Snapshot> = spread(&self.places);
+        let near = |&[a, b]: &[usize; 2]| {
+            let mut apart: Vec<f64> = sample.iter().filter_map(|s| Some((s[a]? - s[b]?).norm())).collect();
+            apart.sort_unstable_by(f64::total_cmp);
+            apart.len() >= SHARED && apart.get(apart.len() / 2).is_some_and(|m| *m < NEAR)
+        };
+        (0..self.slots).flat_map(|a| (a + 1..self.slots).map(move |b| [a, b])).filter(near).collect()
+    }
+
+    /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
+    fn changed(&self, pair: [usize; 2]) -> Option<(f64, Vec<bool>)> {
+        let looks = self.looks(pair);
+        let errors = errors(&looks)?;
+        // Evidence for "as they are" and "exchanged", and for each frame whether the frame before was exchanged.
+        let (mut ways, mut from): ([f64; 2], Vec<[bool; 2]>) = ([0.0; 2], Vec::new());
+        let mut as_is = 0.0;
+        let mut last = Look::default();
+        let mut last_s = self.times_s.first().copied().unwrap_or(0.0);
+        for (look, &time_s) in looks.iter().zip(self.times_s) {
+            let change = change(&last, look);
+            let evidence = 0.5 * evidence(look, errors, time_s - last_s);
+            from.push([ways[1] - change > ways[0], ways[1] > ways[0] - change]);
+            ways = [ways[0].max(ways[1] - change) - evidence, ways[1].max(ways[0] - change) + evidence];
+            as_is -= evidence;
+            if look.places.iter().any(Option::is_some) {
+                last = *look;
+            }
+            last_s = time_s;
+        }
+        let mut exchanged = ways[1] > ways[0];
+        let gain = ways[0].max(ways[1]) - as_is;
+        let mut changed = vec![false; looks.len()];
+        for (frame, from) in from.iter().enumerate().rev() {
+            changed[frame] = exchanged;
+            exchanged = from[usize::from(exchanged)];
+        }
+        let some = changed.iter().any(|c| *c) && !changed.iter().all(|c| *c);
+        (some && gain > WORTH_CHANGING).then_some((gain, changed))
+    }
+
+    fn looks(&self, pair: [usize; 2]) -> Vec<Look> {
+        let mut count: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
+        for now in self.places.iter().filter(|s| pair.iter().any(|&p| s[p].is_some())) {
+            *count.entry(self.neighbours(pair, now)).or_default() += 1;
+        }
+        let mut sets: Vec<(usize, Vec<usize>)> = count.into_iter().map(|(set, n)| (n, set)).collect();
+        sets.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+        sets.truncate(FRAMES_OF_REFERENCE);
+        let history = spread(&self.places);
+        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|(_, set)| self.fits(pair, set, &history)).collect();
+        let look = |now: &Snapshot| {
+            let fit = fits.iter_mut().find(|f| f[0].can_use(now));
+            let expected = fit.and_then(|[a, b]| Some([a.predict(now, 0.0)?.point, b.predict(now, 0.0)?.point]));
+            Look { places: pair.map(|p| now[p]), expected }
+        };
+        self.places.iter().map(look).collect()
+    }
+
+    /// The visible markers that place the pair best.
+    fn neighbours(&self, pair: [usize; 2], now: &Snapshot) -> Vec<usize> {
+        let mut others = now.clone();
+        pair.iter().for_each(|&p| others[p] = None);
+        self.links.frame_of(pair[0], &others, NEIGHBOURS)
+    }
+
+    fn fits(&self, pair: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Option<[Fit; 2]> {
+        let reference = history.iter().find(|s| neighbours.iter().all(|&n| s[n].is_some()))?;
+        // What the markers were off at some moment long ago is forgotten.
+        let long_ago = [(-1e9, (*reference).clone())];
+        let spacing_s = (self.times_s[self.times_s.len() - 1] - self.times_s[0]) / history.len().max(1) as f64;
+        let fit = |slot: usize| Fit::new(slot, neighbours, history, &long_ago, spacing_s);
+        Some([fit(pair[0])?, fit(pair[1])?])
+    }
+}
+
+/// Median squared errors (m²): of the one's place, of the other's, of the vector between them whichever way it points.
+/// `None` where too few frames tell.
+fn errors(looks: &[Look]) -> Option<[f64; 3]> {
+    let mut off: [Vec<f64>; 3] = Default::default();
+    let mut clear = 0;
+    for look in looks {
+        let Some([a, b]) = look.expected else { continue };
+        let [p, q] = look.places;
+        off[0].extend(p.map(|p| (p - a).norm_squared()));
+        off[1].extend(q.map(|q| (q - b).norm_squared()));
+        if let (Some(p), Some(q)) = (p, q) {
+            let (between, expected) = (q - p, b - a);
+            let cos = between.dot(&expected) / (between.norm() * expected.norm()).max(1e-12);
+            clear += usize::from(cos.abs() > ALIGNED);
+            off[2].push((between - expected).norm_squared().min((between + expected).norm_squared()));
+        }
+    }
+    let median = |mut values: Vec<f64>| {
+        values.sort_unstable_by(f64::total_cmp);
+        (values.len() >= SHARED).then(|| (values[values.len() / 2] / 2.4).max(LEAST_ERROR * LEAST_ERROR))
+    };
+    let [one, other, both] = off;
+    if (clear as f64) < CLEAR * both.len() as f64 {
+        return None;
+    }
+    Some([median(one)?, median(other)?, median(both).unwrap_or(f64::INFINITY)])
+}
+
+/// Evidence of one frame for the exchange (nats).
+fn evidence(look: &Look, [one, other, both]: [f64; 3], dt_s: f64) -> f64 {
+    let Some([a, b]) = look.expected else { return 0.0 };
+    let cost = |p: Vector3<f64>, q: Vector3<f64>, variance: f64| {
+        let squared = (p - q).norm_squared() / variance;
+        // Heavy-tailed: poses beyond those that are known.
+        2.5 * (squared / 5.0).ln_1p() + 1.5 * variance.ln()
+    };
+    match look.places {
+        [Some(p), Some(q)] => {
+            let (between, expected) = (q - p, b - a);
+            (cost(between, expected, both) - cost(-between, expected, both)).clamp(-BOTH, BOTH)
+        }
+        [Some(p), None] => (cost(p, a, one) - cost(p, b, other)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
+        [None, Some(q)] => (cost(q, b, other) - cost(q, a, one)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
+        [None, None] => 0.0,
+    }
+}
+
+/// What it costs that the two are exchanged from one look to the next (nats); negative where motion says that they have been.
+fn change(last: &Look, look: &Look) -> f64 {
+    match (last.places, look.places) {
+        ([Some(p), Some(q)], [Some(r), Some(s)]) => {
+            ((q - p).dot(&(s - r)) / (MOTION * MOTION)).clamp(-MOST_OF_MOTION, MOST_OF_MOTION)
+        }
+        _ => CHANGE,
+    }
+}
