@@ -46,6 +46,29 @@ def test_a_walk_is_one_trajectory_per_marker(walk: ml.SimulatedTake, truth: ml.T
     assert points.report["searched_dots"] < 0.15  # what time already explains is not searched for again
 
 
+@pytest.mark.parametrize("causal", [True, False])
+def test_noisy_markers_near_each_other_are_not_exchanged_for_ever(causal: bool) -> None:
+    # Two markers of an upper arm, 54 mm apart, at 1 px: one is born late and the other jumps onto it once. A jump must not
+    # open the gate for the next one, nor leave two trajectories on one marker.
+    take = ml.simulate(
+        ml.make_scene("walk", frames=400, markers=33, sigma_px=1.0, hide="0.05", clutter_per_frame=0.2, seed=3)
+    )
+    truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
+    result = ml.evaluate(ml.track(take.observations, take.rig, causal=causal), truth, tolerance_mm=25)
+    assert result["id_switches"] <= 4
+    assert result["ghosts_per_frame"] <= 0.02
+
+
+def test_a_dance_keeps_its_identities() -> None:
+    take = ml.simulate(ml.make_scene("dance", frames=1000, markers=33, sigma_px=0.3, seed=0))
+    truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
+    live = ml.evaluate(ml.track(take.observations, take.rig, causal=True), truth, tolerance_mm=25)
+    whole = ml.evaluate(ml.track(take.observations, take.rig), truth, tolerance_mm=25)
+    assert whole["id_switches"] <= min(12, live["id_switches"] // 3)
+    assert whole["ghosts_per_frame"] <= 0.005
+    assert whole["idf1"] > 0.97
+
+
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_causal_tracking_equals_push_to_the_bit(walk: ml.SimulatedTake, shuffle: bool) -> None:
     take = walk.observations.select(0, 60)

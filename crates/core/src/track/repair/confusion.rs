@@ -227,3 +227,67 @@ fn change(last: &Look, look: &Look) -> f64 {
         _ => CHANGE,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::{Kind, Sample};
+    use nalgebra::{Matrix3, Rotation3};
+
+    /// Four markers of a part, and two 10 mm apart beside it; the part turns and wanders.
+    fn take(frames: usize) -> (Vec<Tracked>, Vec<f64>) {
+        let part = [
+            [0.0, 0.0, 0.0],
+            [0.12, 0.0, 0.0],
+            [0.0, 0.1, 0.02],
+            [0.05, 0.05, 0.11],
+            [0.2, 0.03, 0.0],
+            [0.21, 0.03, 0.0],
+        ];
+        let one = |f: usize| {
+            let t = f as f64 / 100.0;
+            let turn = Rotation3::from_euler_angles(0.8 * t, (1.3 * t).sin(), 0.4 * t);
+            let away = Vector3::new(t.sin(), 0.3 * t, 1.0);
+            let place = |p: &[f64; 3]| turn * Vector3::from(*p) + away;
+            let dots = [0, 1, 2];
+            let sample = |(track, p)| {
+                let state = (place(p), Matrix3::identity() * 1e-7);
+                Sample::new(track as u32, state, Kind::Measured, &dots, 0.99)
+            };
+            Tracked { samples: part.iter().enumerate().map(sample).collect(), ..Tracked::default() }
+        };
+        ((0..frames).map(one).collect(), (0..frames).map(|f| f as f64 / 100.0).collect())
+    }
+
+    fn points(frames: &[Tracked]) -> Vec<Vec<(u32, Vector3<f64>)>> {
+        frames.iter().map(|f| f.samples.iter().map(|s| (s.track, s.point)).collect()).collect()
+    }
+
+    #[test]
+    fn near_markers_get_back_what_they_have_of_each_other() {
+        let (truth, times_s) = take(400);
+        let mut frames = truth.clone();
+        exchange(&mut frames, [4, 5], &(0..400).map(|f| (150..230).contains(&f) || f == 300).collect::<Vec<bool>>());
+        // In a part of the time only one of the two is seen.
+        let hidden = |f: usize, track: u32| (150..180).contains(&f) && track == 5;
+        let hide = |frames: &mut Vec<Tracked>| {
+            frames.iter_mut().enumerate().for_each(|(f, frame)| frame.samples.retain(|s| !hidden(f, s.track)));
+        };
+        hide(&mut frames);
+        assert_ne!(points(&frames), points(&truth));
+        untangle(&mut frames, &times_s);
+        let seen_as = |f: usize| frames[f].samples.iter().map(|s| (s.track, s.point)).collect::<Vec<_>>();
+        for (f, frame) in truth.iter().enumerate() {
+            let whole: Vec<(u32, Vector3<f64>)> = frame.samples.iter().map(|s| (s.track, s.point)).collect();
+            assert!(seen_as(f).iter().all(|s| whole.contains(s)), "frame {f}");
+        }
+    }
+
+    #[test]
+    fn what_is_right_stays() {
+        let (truth, times_s) = take(200);
+        let mut frames = truth.clone();
+        untangle(&mut frames, &times_s);
+        assert_eq!(points(&frames), points(&truth));
+    }
+}

@@ -499,3 +499,60 @@ impl Scene<'_> {
         best
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::repair::tracklets::cut;
+    use crate::track::{Kind, Sample, Tracked};
+    use nalgebra::{Matrix3, Rotation3};
+
+    /// A body of five markers and an arm of four (two on the forearm, two on the hand) that is hidden now and then.
+    fn arm(frames: usize) -> Vec<Tracked> {
+        let body = [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.2, 0.1], [0.3, 0.2, 0.0], [0.15, 0.1, 0.3]];
+        let forearm = [[0.08, 0.03, 0.0], [0.2, -0.02, 0.02]];
+        let hand = [[0.03, 0.02, 0.0], [0.08, -0.03, 0.01]];
+        let dots = [0, 1, 2];
+        let one = |f: usize| {
+            let t = f as f64 / 100.0;
+            let away = Vector3::new(0.2 * t.sin(), 0.1 * t, 1.0);
+            let elbow = Vector3::new(0.35, 0.0, 0.1);
+            let turn = Rotation3::from_euler_angles(0.3 * (0.7 * t).sin(), 0.9 * (1.7 * t).sin(), 0.5 * t.cos());
+            let bend = turn * Rotation3::from_euler_angles(0.2 * t.cos(), 0.5 * (2.3 * t).sin(), 0.0);
+            let wrist = elbow + turn * Vector3::new(0.26, 0.0, 0.0);
+            let mut places: Vec<Vector3<f64>> = body.iter().map(|p| Vector3::from(*p) + away).collect();
+            if f % 100 < 80 {
+                places.extend(forearm.iter().map(|p| elbow + turn * Vector3::from(*p) + away));
+                places.extend(hand.iter().map(|p| wrist + bend * Vector3::from(*p) + away));
+            }
+            let sample = |(track, place)| {
+                let state = (place, Matrix3::identity() * 1e-7);
+                Sample::new(track as u32, state, Kind::Measured, &dots, 0.99)
+            };
+            Tracked { samples: places.into_iter().enumerate().map(sample).collect(), ..Tracked::default() }
+        };
+        (0..frames).map(one).collect()
+    }
+
+    #[test]
+    fn a_whole_arm_in_each_others_chains_is_relabelled() {
+        let times_s: Vec<f64> = (0..1200).map(|f| f64::from(f) / 100.0).collect();
+        let (tracklets, _) = cut(&arm(1200), &times_s, 3.0);
+        let is_late = |t: &usize| (500..900).contains(&tracklets[*t].first);
+        // Forearm and hand are both exchanged in one part of the take.
+        let partner = |track: u32| if track < 5 { track } else { 5 + ((track - 5) ^ 1) };
+        let named = |t: usize| if is_late(&t) { partner(tracklets[t].track) } else { tracklets[t].track };
+        let mut chains: Vec<Chain> = (0..9)
+            .map(|track| {
+                let own: Vec<usize> = (0..tracklets.len()).filter(|&t| named(t) == track).collect();
+                Chain { length: own.iter().map(|&t| tracklets[t].measured).sum(), tracklets: own }
+            })
+            .collect();
+        assert!(relabel(&tracklets, &times_s, &mut chains, &[]), "something must be exchanged");
+        for chain in &chains {
+            let tracks: Vec<u32> = chain.tracklets.iter().map(|&t| tracklets[t].track).collect();
+            assert!(tracks.windows(2).all(|w| w[0] == w[1]), "{tracks:?}");
+        }
+        assert!(!relabel(&tracklets, &times_s, &mut chains, &[]), "what is right stays");
+    }
+}
