@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 const SAME_PLACE: f64 = 2.5;
 /// Where a prediction is no help (m²).
 const ANYWHERE: f64 = 1.0;
-const NEAR: f64 = 0.02;
+pub(super) const NEAR: f64 = 0.02;
 /// Frames of shared out cameras that make two trajectories one; a camera that sees both undoes several.
 const ENOUGH: i32 = 6;
 const UNDONE: i32 = 3;
@@ -90,7 +90,11 @@ fn in_one_place([one, other]: [&Marker; 2]) -> bool {
     near(one.state(), other.state())
 }
 
-fn near((p, p_covariance): &(Vector3<f64>, Matrix3<f64>), (q, q_covariance): &(Vector3<f64>, Matrix3<f64>)) -> bool {
+/// Whether two places with their covariances may be one.
+pub(super) fn near(
+    (p, p_covariance): &(Vector3<f64>, Matrix3<f64>),
+    (q, q_covariance): &(Vector3<f64>, Matrix3<f64>),
+) -> bool {
     let spread = (p_covariance + q_covariance).trace().sqrt();
     (p - q).norm() < NEAR.min(SAME_PLACE * spread)
 }

@@ -1,6 +1,7 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
-//! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong.
+//! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong; pieces that follow
+//!    another one's marker go (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
 //!    (`exchange`) and whole limbs (`relabel`) hand out their pieces anew.
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
@@ -15,6 +16,7 @@ pub mod join;
 pub mod joints;
 mod relabel;
 pub mod tracklets;
+mod twins;
 
 use super::{Sample, TrackOptions, Tracked};
 use crate::correspond::frame::Dot;
@@ -24,6 +26,7 @@ use confusion::untangle;
 use extend::extend;
 use join::{Chain, join};
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
+use twins::without_twins;
 
 /// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
 pub fn repair(
@@ -33,7 +36,7 @@ pub fn repair(
     dots: &[Vec<Dot>],
     times_s: &[f64],
 ) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s, TORN);
+    let mut repaired = identify(frames, times_s, TORN, Some(dots));
     extend(scene, dots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
@@ -41,14 +44,17 @@ pub fn repair(
 
 /// Repairs a recorded take of points: there are no dots to prolong a trajectory on.
 pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s, TORN_POINTS);
+    let mut repaired = identify(frames, times_s, TORN_POINTS, None);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
 
 /// Measured samples under the identities that the whole take gives them.
-fn identify(frames: &[Tracked], times_s: &[f64], torn: f64) -> Vec<Tracked> {
-    let (tracklets, owner) = cut(frames, times_s, torn);
+fn identify(frames: &[Tracked], times_s: &[f64], torn: f64, dots: Option<&[Vec<Dot>]>) -> Vec<Tracked> {
+    let (mut tracklets, mut owner) = cut(frames, times_s, torn);
+    if let Some(dots) = dots {
+        (tracklets, owner) = without_twins(tracklets, owner, frames, dots);
+    }
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
