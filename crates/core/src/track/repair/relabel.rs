@@ -37,14 +37,15 @@ struct Known {
     /// By chain, its links to be asked, by the number of the other.
     links: Vec<BTreeMap<usize, Link>>,
     /// By tracklet.
-    seen: Vec<Distances2>,
+    seen: Vec<Looks>,
 }
 
 /// Frames of a tracklet that are looked at, with the distances to everything in each.
-struct Distances2 {
+struct Looks {
     frames: Vec<usize>,
     distances: Vec<Distances>,
-    looks: f64,
+    /// How often the tracklet counts.
+    count: f64,
 }
 
 /// A way to hand out the tracklets so far.
@@ -53,8 +54,9 @@ struct Way {
     evidence: f64,
     /// Last tracklet of each chain (number within the group).
     last: Vec<Option<usize>>,
-    /// Chain of each tracklet.
-    chain: Vec<u8>,
+    /// Chain of the newest tracklet, and where in the trail the way before it stands.
+    chain: u8,
+    before: usize,
 }
 
 /// Tracklets of some chains, ready to be handed out.
@@ -85,12 +87,12 @@ impl Scene<'_> {
         self.profile(chain).into_iter().take(ASKED).map(|l| (l.other, l)).collect()
     }
 
-    fn seen_from(&self, tracklet: usize) -> Distances2 {
+    fn seen_from(&self, tracklet: usize) -> Looks {
         let frames = self.tracklets[tracklet].frames(super::join::FRAMES);
         let distances = self.distances_of(tracklet);
         let own = &self.tracklets[tracklet];
-        let looks = (1.0 + self.times_s[own.last()] - self.times_s[own.first]).min(MOST_LOOKS);
-        Distances2 { frames, distances, looks }
+        let count = (1.0 + self.times_s[own.last()] - self.times_s[own.first]).min(MOST_LOOKS);
+        Looks { frames, distances, count }
     }
 
     /// Each chain with those nearest to it on average; every set once.
@@ -153,7 +155,7 @@ impl<'a> Group<'a> {
         for (from, to, turned) in [(t, u, false), (u, t, true)] {
             let distances = away(from, to);
             let seen = &known.seen[from];
-            let worth = seen.looks / seen.frames.len().max(1) as f64;
+            let worth = seen.count / seen.frames.len().max(1) as f64;
             for a in 0..n {
                 for b in (0..n).filter(|&b| b != a) {
                     if let Some(link) = known.links[self.chains[a]].get(&self.chains[b]) {
@@ -173,8 +175,10 @@ impl<'a> Group<'a> {
         if self.tracklets.len() < 2 || n < 2 {
             return None;
         }
-        let mut as_is = Way { evidence: 0.0, last: vec![None; n], chain: Vec::new() };
+        let mut as_is = Way { evidence: 0.0, last: vec![None; n], chain: 0, before: 0 };
         let mut ways = vec![as_is.clone()];
+        // Chains along the ways that were followed: each with the place of the one before.
+        let mut trail: Vec<(usize, u8)> = vec![(0, 0)];
         for t in 0..self.tracklets.len() {
             as_is = self.after(&as_is, t, self.now[t])?;
             let mut next: BTreeMap<Vec<Option<usize>>, Way> = BTreeMap::new();
@@ -189,10 +193,20 @@ impl<'a> Group<'a> {
             ways = next.into_values().collect();
             ways.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
             ways.truncate(BEAM);
+            for way in &mut ways {
+                trail.push((way.before, way.chain));
+                way.before = trail.len() - 1;
+            }
         }
         let best = ways.into_iter().next().filter(|best| best.evidence > as_is.evidence)?;
         let mut tracklets = vec![Vec::new(); n];
-        best.chain.iter().zip(&self.tracklets).for_each(|(&g, &t)| tracklets[g as usize].push(t));
+        let mut at = best.before;
+        for &t in self.tracklets.iter().rev() {
+            let (before, chain) = trail[at];
+            tracklets[chain as usize].push(t);
+            at = before;
+        }
+        tracklets.iter_mut().for_each(|own| own.reverse());
         Some(Relabelling { gain: best.evidence - as_is.evidence, chains: self.chains.clone(), tracklets })
     }
 
@@ -206,12 +220,14 @@ impl<'a> Group<'a> {
         }
         let motion = before.map_or(ONE_MORE, |b| self.scene.bridge(b, own).unwrap_or(IMPOSSIBLE));
         let mut evidence = way.evidence + motion + self.outside[t][g];
-        for (&(_, u), by_chains) in self.inside.range((t, 0)..(t, t)) {
-            evidence += by_chains[g * self.chains.len() + way.chain[u] as usize];
+        // What shares frames with it is the last of its chain.
+        for (other, u) in way.last.iter().enumerate() {
+            if let Some(by_chains) = u.and_then(|u| self.inside.get(&(t, u))) {
+                evidence += by_chains[g * self.chains.len() + other];
+            }
         }
-        let mut next = Way { evidence, ..way.clone() };
+        let mut next = Way { evidence, chain, ..way.clone() };
         next.last[g] = Some(t);
-        next.chain.push(chain);
         Some(next)
     }
 }
@@ -219,7 +235,7 @@ impl<'a> Group<'a> {
 /// Evidence of a tracklet's distances to what is not in the group, by the group's chains.
 fn outside(known: &Known, chains: &[usize], tracklet: usize) -> Vec<f64> {
     let seen = &known.seen[tracklet];
-    let worth = seen.looks / seen.frames.len().max(1) as f64;
+    let worth = seen.count / seen.frames.len().max(1) as f64;
     let fits = |chain: &usize| {
         let asked = known.links[*chain].values().filter(|l| chains.binary_search(&l.other).is_err());
         let sum = |link: &Link| -> f64 {

@@ -41,7 +41,7 @@ pub struct Tracklet {
     pub track: u32,
     first_track: u32,
     /// Share of the hidden frames before it in which the forward pass followed that identity by a ray.
-    followed: f64,
+    pub(super) followed: f64,
     /// Index of its first frame.
     pub first: usize,
     /// Position in each frame from the first on; `None` where it was hidden for a moment.
