@@ -48,7 +48,7 @@ def test_a_walk_is_one_trajectory_per_marker(walk: ml.SimulatedTake, truth: ml.T
 
 @pytest.mark.parametrize("causal", [True, False])
 def test_noisy_markers_near_each_other_are_not_exchanged_for_ever(causal: bool) -> None:
-    # Two markers of an upper arm, 54 mm apart, at 1 px: one is born late and the other jumps onto it once. A jump must not
+    # Two markers of an upper arm, 54 mm apart, at 1 px: one is born late and the other jumps onto it. A jump must not
     # open the gate for the next one, nor leave two trajectories on one marker.
     take = ml.simulate(
         ml.make_scene("walk", frames=400, markers=33, sigma_px=1.0, hide="0.05", clutter_per_frame=0.2, seed=3)
