@@ -4,6 +4,7 @@
 //! centre of the top-left pixel. Nothing here reads files, prints, or starts threads it was not given.
 
 pub mod assignment;
+pub mod calibrate;
 pub mod camera;
 pub mod chi2;
 pub mod correspond;

@@ -3,6 +3,7 @@
 #![allow(clippy::needless_pass_by_value, reason = "what Python hands over is owned by the call")]
 
 mod c3d;
+mod calibrate;
 mod conv;
 mod errors;
 mod hidden;
@@ -26,6 +27,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hidden::on_spheres, module)?)?;
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
+    module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::candidates, module)?)?;

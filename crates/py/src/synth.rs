@@ -42,7 +42,7 @@ pub fn rig<'py>(
     made.cameras.iter().map(|c| described(py, c)).collect()
 }
 
-fn described<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyDict>> {
+pub fn described<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let r = &camera.camera_from_world;
     let rows: Vec<[f64; 3]> = (0..3).map(|i| [r[(i, 0)], r[(i, 1)], r[(i, 2)]]).collect();

@@ -1,0 +1,393 @@
+//! From the raw dots of a wand wave to a calibrated rig: the whole chain.
+
+use super::bootstrap::{FirstRig, NoRig, Start, first_rig, sightings_of};
+use super::bundle::camera::{ASPECT, FOCAL, Freedom, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, free};
+use super::bundle::robust::{median, noise_px, weigh_hard, weigh_softly};
+use super::bundle::{Bundle, Pose, Sighting, camera::HELD};
+use super::identify::Pattern;
+use super::pose::{View, from_views};
+use super::still::still;
+use super::wand::{Span, Wand};
+use crate::camera::{Camera, Lens};
+use crate::correspond::frame::Dot;
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// What may be adjusted.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Whether focal lengths and lenses are known and stay.
+    pub intrinsics_held: bool,
+    /// One pose in this many is left out of the fit that is judged by it.
+    pub left_out_every: usize,
+    /// Poses used at most, spread over the wave.
+    pub most_poses: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { intrinsics_held: false, left_out_every: 10, most_poses: 6000 }
+    }
+}
+
+/// A calibrated rig and everything by which it is judged.
+pub struct Wave {
+    /// Cameras, poses and sightings as adjusted; weights are `1/σ²`, 0 for what was left out as wrong.
+    pub bundle: Bundle,
+    /// Frame index of each pose.
+    pub frame: Vec<usize>,
+    /// The dot behind each sighting.
+    pub dot: Vec<usize>,
+    /// Noise of each camera (px per axis).
+    pub noise_px: Vec<f64>,
+    /// Residual (px) of sightings of poses that a first fit left out, by that fit; camera beside it.
+    pub left_out_px: Vec<(usize, f64)>,
+    /// Measured and true distance (m) of every two markers on poses left out, each marker placed on its own.
+    pub left_out_lengths_m: Vec<(f64, f64)>,
+    /// Cameras that could not be joined.
+    pub missing: Vec<usize>,
+    /// Views per camera in which the whole wand was found.
+    pub whole_views: Vec<usize>,
+    /// Dots that stay where they are, per camera.
+    pub still_dots: Vec<usize>,
+    /// Whether the adjustment converged.
+    pub converged: bool,
+}
+
+/// Frames used for the first rig: as many as give every camera enough views.
+const BOOTSTRAP_FRAMES: usize = 400;
+const BOOTSTRAP_VIEWS: usize = 80;
+
+/// Calibrates. `dots` in ascending order of frame; `ranges`: those of each frame.
+pub fn calibrate(
+    start: &Start,
+    wand: &Wand,
+    dots: &[Dot],
+    ranges: &[Range<usize>],
+    options: &Options,
+) -> Result<Wave, NoRig> {
+    let fixed = still_dots(start.cameras.len(), dots, ranges);
+    let found = whole_views(start.cameras.len(), wand, dots, ranges, &fixed);
+    let mut views = found.views;
+    let chosen = bootstrap_frames(start.cameras.len(), &views);
+    let mut few: Vec<Vec<View>> = chosen.iter().map(|&f| views[f].clone()).collect();
+    let first = first_rig(start, wand, &mut few)?;
+    let freedom = freedom(start, options);
+    let mut rough = rough_bundle(start, wand, &few, &first, &freedom);
+    for _ in 0..4 {
+        let noise = noise_px(&rough, |_| true);
+        weigh_softly(&mut rough, &noise);
+        rough.adjust(8);
+    }
+    let noise = noise_px(&rough, |_| true);
+    let mut wave = Wave {
+        frame: Vec::new(),
+        dot: Vec::new(),
+        noise_px: noise,
+        left_out_px: Vec::new(),
+        left_out_lengths_m: Vec::new(),
+        missing: first.missing,
+        whole_views: found.count,
+        still_dots: (0..start.cameras.len())
+            .map(|c| dots.iter().zip(&fixed).filter(|(d, f)| d.camera == c && **f).count())
+            .collect(),
+        converged: false,
+        bundle: rough,
+    };
+    settle_names(&wave, &mut views);
+    gather(&mut wave, &views, dots, ranges, &fixed, options);
+    finish(&mut wave, options);
+    Ok(wave)
+}
+
+fn freedom(start: &Start, options: &Options) -> Freedom {
+    let pose = [ROTATION, POSITION];
+    if options.intrinsics_held || start.focal_known {
+        return free(&pose);
+    }
+    let mut all = free(&[ROTATION, POSITION, PRINCIPAL, RADIAL]);
+    all[FOCAL] = true;
+    all
+}
+
+fn still_dots(cameras: usize, dots: &[Dot], ranges: &[Range<usize>]) -> Vec<bool> {
+    let mut fixed = vec![false; dots.len()];
+    for camera in 0..cameras {
+        let (mut own, mut frames, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+        for (frame, range) in ranges.iter().enumerate() {
+            for i in range.clone().filter(|&i| dots[i].camera == camera) {
+                own.push(i);
+                frames.push(frame);
+                pixels.push(Vector2::from(dots[i].pixel));
+            }
+        }
+        for (i, is_still) in own.into_iter().zip(still(&frames, &pixels)) {
+            fixed[i] = is_still;
+        }
+    }
+    fixed
+}
+
+struct Found {
+    views: Vec<Vec<View>>,
+    count: Vec<usize>,
+}
+
+/// Every view in which the whole wand is found.
+fn whole_views(cameras: usize, wand: &Wand, dots: &[Dot], ranges: &[Range<usize>], fixed: &[bool]) -> Found {
+    let pattern = Pattern::new(wand);
+    let of_frame = |range: &Range<usize>| -> Vec<View> {
+        let mut by_camera = vec![Vec::new(); cameras];
+        for i in range.clone().filter(|&i| !fixed[i]) {
+            by_camera[dots[i].camera].push(Vector2::from(dots[i].pixel));
+        }
+        let view = |(camera, own): (usize, &Vec<Vector2<f64>>)| {
+            let naming = pattern.find(own)?;
+            Some(View { camera, pixels: naming.into_iter().map(|d| Some(own[d])).collect() })
+        };
+        by_camera.iter().enumerate().filter_map(view).collect()
+    };
+    let views: Vec<Vec<View>> = ranges.par_iter().map(of_frame).collect();
+    let mut count = vec![0; cameras];
+    views.iter().flatten().for_each(|v| count[v.camera] += 1);
+    Found { views, count }
+}
+
+/// Frames spread over the wave, and more for cameras that see little.
+fn bootstrap_frames(cameras: usize, views: &[Vec<View>]) -> Vec<usize> {
+    let usable: Vec<usize> = (0..views.len()).filter(|&f| views[f].len() >= 2).collect();
+    let spread = |from: &[usize], most: usize| -> Vec<usize> {
+        let step = from.len().div_ceil(most.max(1)).max(1);
+        from.iter().copied().step_by(step).collect()
+    };
+    let mut chosen = spread(&usable, BOOTSTRAP_FRAMES);
+    for camera in 0..cameras {
+        let sees = |f: &&usize| views[**f].iter().any(|v| v.camera == camera);
+        if chosen.iter().filter(sees).count() < BOOTSTRAP_VIEWS {
+            let own: Vec<usize> = usable.iter().filter(sees).copied().collect();
+            chosen.extend(spread(&own, BOOTSTRAP_VIEWS));
+        }
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen
+}
+
+fn rough_bundle(start: &Start, wand: &Wand, few: &[Vec<View>], first: &FirstRig, freedom: &Freedom) -> Bundle {
+    let (mut poses, mut sightings) = (Vec::new(), Vec::new());
+    for (at, views) in first.poses.iter().zip(few) {
+        let Some(at) = at else { continue };
+        for view in views.iter().filter(|v| !first.missing.contains(&v.camera)) {
+            sightings.extend(sightings_of(view, poses.len()));
+        }
+        poses.push(*at);
+    }
+    let mut cameras = first.cameras.clone();
+    if !start.focal_known {
+        for camera in &mut cameras {
+            camera.lens = Lens::BrownConrady { k: [0.0; 6], p: [0.0; 2] };
+        }
+    }
+    let freedoms = (0..cameras.len()).map(|c| if first.missing.contains(&c) { HELD } else { *freedom }).collect();
+    Bundle { cameras, freedom: freedoms, wand: wand.clone(), poses, poses_held: false, sightings }
+}
+
+/// Names the ends of a wand that looks alike from both, now that the cameras are known.
+fn settle_names(wave: &Wave, views: &mut [Vec<View>]) {
+    let rig = FirstRig { cameras: wave.bundle.cameras.clone(), poses: Vec::new(), missing: wave.missing.clone() };
+    super::bootstrap::rename_all(&rig, &wave.bundle.wand, views);
+}
+
+/// Places the wand in all frames and gives it every dot that lies where one of its markers must.
+fn gather(
+    wave: &mut Wave,
+    views: &[Vec<View>],
+    dots: &[Dot],
+    ranges: &[Range<usize>],
+    fixed: &[bool],
+    options: &Options,
+) {
+    let bundle = &wave.bundle;
+    let gate = |camera: usize| (12.0 * wave.noise_px[camera]).max(0.002 * bundle.cameras[camera].size_px[0]);
+    let widest = (0..bundle.cameras.len()).filter(|c| !wave.missing.contains(c)).map(gate).fold(0.0, f64::max);
+    let place = |views: &Vec<View>| -> Option<Pose> {
+        let joined: Vec<View> = views.iter().filter(|v| !wave.missing.contains(&v.camera)).cloned().collect();
+        let needed = bundle.wand.markers_m.len() * 3 / 2;
+        from_views(&bundle.cameras, &bundle.wand, &joined, widest).filter(|(_, n)| *n >= needed).map(|p| p.0)
+    };
+    let placed: Vec<Option<Pose>> = views.par_iter().map(place).collect();
+    let usable: Vec<usize> = (0..placed.len()).filter(|&f| placed[f].is_some()).collect();
+    let step = usable.len().div_ceil(options.most_poses).max(1);
+    let (mut poses, mut frame, mut sightings, mut dot) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for &f in usable.iter().step_by(step) {
+        let Some(pose) = placed[f] else { continue };
+        let before = sightings.len();
+        for (i, s) in explained(wave, &pose, poses.len(), dots, &ranges[f], fixed, &gate) {
+            sightings.push(s);
+            dot.push(i);
+        }
+        if sightings.len() > before {
+            poses.push(pose);
+            frame.push(f);
+        }
+    }
+    let bundle = &mut wave.bundle;
+    (bundle.poses, bundle.sightings) = (poses, sightings);
+    (wave.frame, wave.dot) = (frame, dot);
+}
+
+/// The dots of a frame that a pose explains: each marker its nearest dot in each camera, each dot one marker.
+fn explained(
+    wave: &Wave,
+    pose: &Pose,
+    index: usize,
+    dots: &[Dot],
+    range: &Range<usize>,
+    fixed: &[bool],
+    gate: &impl Fn(usize) -> f64,
+) -> Vec<(usize, Sighting)> {
+    let bundle = &wave.bundle;
+    let mut found: Vec<(f64, usize, Sighting)> = Vec::new();
+    for (camera, one) in bundle.cameras.iter().enumerate().filter(|(c, _)| !wave.missing.contains(c)) {
+        let own: Vec<usize> = range.clone().filter(|&i| dots[i].camera == camera && !fixed[i]).collect();
+        if own.is_empty() {
+            continue;
+        }
+        for (marker, at) in bundle.wand.markers_m.iter().enumerate() {
+            let Some(expected) = one.project(&pose.place(at)) else { continue };
+            for &i in &own {
+                let pixel = Vector2::from(dots[i].pixel);
+                let off = (pixel - expected).norm() / gate(camera);
+                if off < 1.0 {
+                    found.push((off, i, Sighting { pose: index, camera, marker, pixel, weight: 1.0 }));
+                }
+            }
+        }
+    }
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut taken: Vec<(usize, Sighting)> = Vec::new();
+    for (_, i, s) in found {
+        if taken.iter().all(|(j, t)| *j != i && (t.camera != s.camera || t.marker != s.marker)) {
+            taken.push((i, s));
+        }
+    }
+    taken.sort_by_key(|(_, s)| (s.camera, s.marker));
+    taken
+}
+
+/// Adjusts without the poses left out, judges by them, and adjusts with all.
+fn finish(wave: &mut Wave, options: &Options) {
+    let every = options.left_out_every.max(2);
+    let left_out = |pose: usize| pose % every == every - 1;
+    for round in 0..4 {
+        wave.noise_px = noise_px(&wave.bundle, |_| true);
+        if round < 2 {
+            weigh_softly(&mut wave.bundle, &wave.noise_px);
+        } else {
+            weigh_hard(&mut wave.bundle, &wave.noise_px);
+        }
+        drop_left_out(&mut wave.bundle, &left_out);
+        wave.bundle.adjust(if round < 2 { 3 } else { 10 });
+    }
+    judge(wave, &left_out);
+    for _ in 0..3 {
+        wave.noise_px = noise_px(&wave.bundle, |_| true);
+        weigh_hard(&mut wave.bundle, &wave.noise_px);
+        wave.converged = wave.bundle.adjust(10).converged;
+    }
+}
+
+fn drop_left_out(bundle: &mut Bundle, left_out: &impl Fn(usize) -> bool) {
+    bundle.sightings.iter_mut().filter(|s| left_out(s.pose)).for_each(|s| s.weight = 0.0);
+}
+
+/// Residuals and lengths on the poses left out, cameras as they are.
+fn judge(wave: &mut Wave, left_out: &impl Fn(usize) -> bool) {
+    let noise = noise_px(&wave.bundle, |i| wave.bundle.sightings[i].weight > 0.0);
+    let mut check = wave.bundle.clone();
+    check.freedom = vec![HELD; check.cameras.len()];
+    check.sightings.retain(|s| left_out(s.pose));
+    for round in 0..3 {
+        if round == 0 {
+            weigh_softly(&mut check, &noise);
+        } else {
+            weigh_hard(&mut check, &noise);
+        }
+        check.adjust(10);
+    }
+    wave.left_out_px =
+        check.sightings.iter().map(|s| (s.camera, check.residual(s).map_or(f64::INFINITY, |r| r.norm()))).collect();
+    wave.left_out_lengths_m = lengths(&check);
+}
+
+/// Measured and true distances of markers that are placed each on its own from the sightings of positive weight.
+fn lengths(check: &Bundle) -> Vec<(f64, f64)> {
+    let markers = check.wand.markers_m.len();
+    if check.wand.span == Span::Point {
+        return Vec::new();
+    }
+    let mut place: Vec<Option<Vector3<f64>>> = vec![None; check.poses.len() * markers];
+    let mut used: Vec<Vec<&Sighting>> = vec![Vec::new(); place.len()];
+    for s in check.sightings.iter().filter(|s| s.weight > 0.0) {
+        used[s.pose * markers + s.marker].push(s);
+    }
+    for (k, own) in used.iter().enumerate().filter(|(_, own)| own.len() >= 2) {
+        place[k] = alone(check, own, check.poses[k / markers].place(&check.wand.markers_m[k % markers]));
+    }
+    let mut out = Vec::new();
+    for pose in 0..check.poses.len() {
+        for (i, j) in check.wand.pairs() {
+            if let (Some(a), Some(b)) = (place[pose * markers + i], place[pose * markers + j]) {
+                out.push(((a - b).norm(), (check.wand.markers_m[i] - check.wand.markers_m[j]).norm()));
+            }
+        }
+    }
+    out
+}
+
+/// One marker's place from its own sightings; `None` where their rays hardly cross.
+fn alone(check: &Bundle, sightings: &[&Sighting], from: Vector3<f64>) -> Option<Vector3<f64>> {
+    let rays: Vec<Vector3<f64>> =
+        sightings.iter().map(|s| (from - check.cameras[s.camera].position_m).normalize()).collect();
+    let cross = |a: &Vector3<f64>| rays.iter().map(|b| a.cross(b).norm()).fold(0.0, f64::max);
+    if rays.iter().map(cross).fold(0.0, f64::max) < SMALLEST_SINE {
+        return None;
+    }
+    let mut place = from;
+    for _ in 0..5 {
+        let mut normal = nalgebra::Matrix3::zeros();
+        let mut right = Vector3::zeros();
+        for s in sightings {
+            let (pixel, by_point) = check.cameras[s.camera].project_linear(&place)?;
+            normal += by_point.transpose() * by_point * s.weight;
+            right += by_point.transpose() * (s.pixel - pixel) * s.weight;
+        }
+        place += normal.cholesky()?.solve(&right);
+    }
+    Some(place)
+}
+
+/// Rays must cross by 10° for a length to be measured between them.
+const SMALLEST_SINE: f64 = 0.17;
+
+/// Median residual (px) of the sightings in use.
+pub fn median_residual_px(wave: &Wave) -> f64 {
+    let used = wave.bundle.sightings.iter().filter(|s| s.weight > 0.0);
+    median(&mut used.filter_map(|s| wave.bundle.residual(s)).map(|r| r.norm()).collect::<Vec<_>>())
+}
+
+/// A camera about which nothing is known but its sensor: focal length as the image's width, no distortion.
+pub fn unknown_camera(id: String, size_px: [f64; 2]) -> Camera {
+    let mut camera = crate::synth::rigs::looking_at(0, Vector3::zeros(), Vector3::x(), size_px, size_px[0]);
+    camera.id = id;
+    camera
+}
+
+/// Parameters that only a lens with more than a plain pinhole has; kept for the choice of a lens model.
+pub fn further_lens_parameters() -> Freedom {
+    let mut all = free(&[TANGENTIAL]);
+    all[SIXTH] = true;
+    all[ASPECT] = true;
+    all
+}

@@ -1,0 +1,98 @@
+//! Calibration for Python.
+
+use crate::conv::{self, DotArrays};
+use crate::errors::InputError;
+use crate::synth::described;
+use markerloom_core::calibrate::bootstrap::Start;
+use markerloom_core::calibrate::bundle::camera::PARAMETERS;
+use markerloom_core::calibrate::bundle::covariance::covariance;
+use markerloom_core::calibrate::wand::{Span, Wand};
+use markerloom_core::calibrate::wave::{Options, Wave, calibrate};
+use markerloom_core::camera::Lens;
+use nalgebra::Vector3;
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+fn table(py: Python<'_>, rows: Vec<f64>, columns: usize) -> PyResult<Bound<'_, PyArray2<f64>>> {
+    let n = rows.len() / columns;
+    rows.into_pyarray(py).reshape([n, columns])
+}
+
+/// A wand from marker places (m).
+fn wand(markers_m: Vec<[f64; 3]>) -> PyResult<Wand> {
+    let places: Vec<Vector3<f64>> = markers_m.into_iter().map(Vector3::from).collect();
+    Wand::new(&places).ok_or_else(|| InputError::new_err("a wand needs markers, each at a place of its own"))
+}
+
+/// Calibrates cameras from the raw dots of a wand wave; see `markerloom/calibrate/wand.py`.
+#[pyfunction]
+#[pyo3(signature = (cameras, focal_known, markers_m, dots, left_out_every, most_poses))]
+pub fn calibrate_wand<'py>(
+    py: Python<'py>,
+    cameras: Vec<Bound<'py, PyDict>>,
+    focal_known: bool,
+    markers_m: Vec<[f64; 3]>,
+    dots: DotArrays<'py>,
+    left_out_every: usize,
+    most_poses: usize,
+) -> PyResult<Bound<'py, PyDict>> {
+    let cameras: Vec<_> = cameras.iter().map(conv::camera).collect::<PyResult<_>>()?;
+    let (all, ranges) = dots.frames(cameras.len())?;
+    let wand = wand(markers_m)?;
+    let start = Start { cameras, focal_known };
+    let options = Options { intrinsics_held: focal_known, left_out_every, most_poses };
+    let solved = py.detach(|| calibrate(&start, &wand, &all, &ranges, &options));
+    let wave = solved.map_err(|e| InputError::new_err(e.to_string()))?;
+    of_wave(py, &wave)
+}
+
+/// Everything of an adjusted wave as arrays.
+fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
+    let bundle = &wave.bundle;
+    let out = PyDict::new(py);
+    let cameras: Vec<_> = bundle
+        .cameras
+        .iter()
+        .map(|c| {
+            let d = described(py, c)?;
+            if let Lens::BrownConrady { k, p } = &c.lens {
+                d.set_item("coefficients", [k[0], k[1], p[0], p[1], k[2], k[3], k[4], k[5]])?;
+            }
+            Ok(d)
+        })
+        .collect::<PyResult<_>>()?;
+    out.set_item("cameras", cameras)?;
+    out.set_item("parameters_free", bundle.freedom.iter().map(|f| f.to_vec()).collect::<Vec<_>>())?;
+    out.set_item("noise_px", &wave.noise_px)?;
+    out.set_item("missing", &wave.missing)?;
+    out.set_item("whole_views", &wave.whole_views)?;
+    out.set_item("still_dots", &wave.still_dots)?;
+    out.set_item("converged", wave.converged)?;
+    out.set_item("pose_freedom", bundle.wand.pose_freedom())?;
+    let places: Vec<f64> = bundle.poses.iter().flat_map(|p| [p.position_m.x, p.position_m.y, p.position_m.z]).collect();
+    out.set_item("pose_position_m", table(py, places, 3)?)?;
+    out.set_item("pose_frame", wave.frame.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
+    out.set_item("dot", wave.dot.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
+    let index = |f: fn(&markerloom_core::calibrate::bundle::Sighting) -> usize| {
+        bundle.sightings.iter().map(|s| f(s) as i64).collect::<Vec<_>>().into_pyarray(py)
+    };
+    out.set_item("pose", index(|s| s.pose))?;
+    out.set_item("camera", index(|s| s.camera))?;
+    out.set_item("marker", index(|s| s.marker))?;
+    out.set_item("used", bundle.sightings.iter().map(|s| s.weight > 0.0).collect::<Vec<_>>().into_pyarray(py))?;
+    let off = |s| bundle.residual(s).map_or([f64::NAN; 2], Into::into);
+    out.set_item("residual_px", table(py, bundle.sightings.iter().flat_map(off).collect(), 2)?)?;
+    let pairs = |v: &[(f64, f64)]| v.iter().flat_map(|(a, b)| [*a, *b]).collect::<Vec<_>>();
+    out.set_item("left_out_lengths_m", table(py, pairs(&wave.left_out_lengths_m), 2)?)?;
+    let left_out: Vec<f64> = wave.left_out_px.iter().flat_map(|(c, r)| [*c as f64, *r]).collect();
+    out.set_item("left_out_px", table(py, left_out, 2)?)?;
+    let known = covariance(bundle, bundle.wand.span != Span::Point);
+    out.set_item("determined", known.is_some())?;
+    if let Some(matrix) = known {
+        let n = matrix.nrows();
+        out.set_item("covariance", table(py, matrix.iter().copied().collect(), n)?)?;
+    }
+    out.set_item("parameters", PARAMETERS)?;
+    Ok(out)
+}
