@@ -133,3 +133,11 @@ def observe(
     frame: int,
 ) -> list[tuple[int, float, float, list[int]]]: ...
 def read_x2d(bytes: bytes) -> dict[str, Any]: ...
+def calibrate_wand(
+    cameras: Sequence[dict[str, Any]],
+    focal_known: bool,
+    markers_m: Sequence[Sequence[float]],
+    dots: object,
+    left_out_every: int,
+    most_poses: int,
+) -> dict[str, Any]: ...

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from markerloom import formats
 from markerloom.bench import bench
+from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
+from markerloom.calibrate.page import save_calibration_page
 from markerloom.convert import convert
 from markerloom.demo import Demo, demo
 from markerloom.evaluate import (
@@ -30,6 +32,7 @@ from markerloom.track_page import save_track_page
 from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
+    "Calibration",
     "Camera",
     "CameraView",
     "Demo",
@@ -47,7 +50,9 @@ __all__ = [
     "Tracker",
     "Triangulated",
     "Truth",
+    "Wand",
     "bench",
+    "calibrate_wand",
     "convert",
     "demo",
     "evaluate",
@@ -58,8 +63,10 @@ __all__ = [
     "read_calibration",
     "read_observations",
     "read_points",
+    "read_wand",
     "reconstruct",
     "save",
+    "save_calibration_page",
     "save_track_page",
     "simulate",
     "track",

@@ -19,6 +19,7 @@ from markerloom import report as reports
 from markerloom.bench import HEADER as BENCH_HEADER
 from markerloom.bench import choose, measure
 from markerloom.bench import line as bench_line
+from markerloom.calibrate.cli import app as calibrate_app
 from markerloom.convert import convert as run_convert
 from markerloom.demo import HEADER as DEMO_HEADER
 from markerloom.demo import demo as run_demo
@@ -38,6 +39,7 @@ from markerloom.track import track as run_track
 from markerloom.track_page import save_track_page
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app.add_typer(calibrate_app, name="calibrate")
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
@@ -148,6 +150,7 @@ def simulate(
     merge_px: Annotated[float | None, typer.Option(help="Dots nearer than this become one.")] = None,
     clutter_per_frame: Annotated[float | None, typer.Option(help="False dots per camera and frame.")] = None,
     reflections: Annotated[int | None, typer.Option(help="Fixed reflections per camera.")] = None,
+    wand: Annotated[str | None, typer.Option(help="Of scene 'wand': a name, or a .toml file.")] = None,
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:

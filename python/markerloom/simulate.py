@@ -1,7 +1,8 @@
 """Simulated takes with truth: a scene, a seed, and everything the cameras would see.
 
 Scenes: ``exp61`` (the seed paper's experiment 6.1), ``cloud`` (random points in a larger volume), ``walk`` and
-``dance`` (an articulated figure whose trunk and limbs hide markers), ``duet`` (two dancers who touch).
+``dance`` (an articulated figure whose trunk and limbs hide markers), ``duet`` (two dancers who touch), ``wand`` (a
+calibration wand waved through the volume).
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import tomlkit
+from scipy.spatial.transform import Rotation
 
 from markerloom import _core
+from markerloom.calibrate.wands import read_wand
 from markerloom.errors import InputError, RigError
 from markerloom.formats import calib_toml, table_file, write_observations
 from markerloom.formats.files import write_text
@@ -50,11 +53,12 @@ class Scene:
     box_x_m: float = EXP61_BOX_M[0]
     box_y_m: float = EXP61_BOX_M[1]
     box_z_m: float = EXP61_BOX_M[2]
+    wand: str = "vicon-t"
 
     @property
     def center_m(self) -> tuple[float, float, float]:
         """What the cameras look at: figures stand on the floor, clouds float at the origin."""
-        return (0.0, 0.0, 1.0) if self.scene in FIGURES else (0.0, 0.0, 0.0)
+        return (0.0, 0.0, 1.0) if self.scene in (*FIGURES, "wand") else (0.0, 0.0, 0.0)
 
 
 FIGURES = ("walk", "dance", "duet")
@@ -79,6 +83,9 @@ PRESETS: dict[str, dict[str, object]] = {
     "walk": FIGURE,
     "dance": FIGURE,
     "duet": FIGURE | {"markers": 82, "cameras": 12},
+    "wand": FIGURE
+    | {"frames": 1000, "markers": 5, "sigma_px": 0.1, "hide": "0.02", "reflections": 1, "clutter_per_frame": 0.2}
+    | {"box_x_m": 2.4, "box_y_m": 2.4, "box_z_m": 1.6},
 }
 
 
@@ -189,6 +196,8 @@ def simulate(scene: Scene, *, progress: Progress | None = None) -> SimulatedTake
 
 
 def _labels(scene: Scene) -> list[str]:
+    if scene.scene == "wand":
+        return list(read_wand(scene.wand).markers)
     if scene.scene not in FIGURES:
         return [f"M{i + 1:03d}" for i in range(scene.markers)]
     figures = _figures(scene)
@@ -210,6 +219,8 @@ def _figures(scene: Scene) -> list[tuple[str, int, int, tuple[float, float, floa
 
 
 def _markers(scene: Scene, frame: int) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]:
+    if scene.scene == "wand":
+        return wave(scene, frame), []
     if scene.scene not in FIGURES:
         box = (scene.box_x_m, scene.box_y_m, scene.box_z_m)
         return _core.cloud(scene.seed, frame, scene.markers, box, scene.center_m), []
@@ -221,6 +232,24 @@ def _markers(scene: Scene, frame: int) -> tuple[list[list[float]], list[tuple[li
         markers += own[0]
         capsules += own[1]
     return markers, capsules
+
+
+WAVES_HZ = (0.11, 0.17, 0.29, 0.41)
+"""Frequencies of the sines of which a wave consists: none is a multiple of another, so that it never repeats."""
+
+
+def wave(scene: Scene, frame: int) -> list[list[float]]:
+    """Places (m) of the wand's markers: positions and turns are sums of slow sines with phases from the seed."""
+    phase = np.random.default_rng([scene.seed, 0x3A4D]).uniform(0.0, 2.0 * np.pi, (6, len(WAVES_HZ)))
+    time_s = frame / scene.rate_hz
+    rate = np.array(WAVES_HZ)
+    share = np.array([0.6, 0.5, 0.3, 0.2]) / 1.1
+    sines = (share * np.sin(2.0 * np.pi * (rate * (1.0 + 0.13 * np.arange(6)[:, None]) * time_s) + phase)).sum(axis=1)
+    box = np.array([scene.box_x_m, scene.box_y_m, scene.box_z_m])
+    middle = np.array(scene.center_m) + 0.5 * box * np.clip(sines[:3], -1.0, 1.0)
+    turn = Rotation.from_rotvec(np.pi * sines[3:]).as_matrix()
+    places = read_wand(scene.wand).places_m
+    return ((places - places.mean(axis=0)) @ turn.T + middle).tolist()
 
 
 def _see(

@@ -67,6 +67,7 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
     out.set_item("noise_px", &wave.noise_px)?;
     out.set_item("missing", &wave.missing)?;
     out.set_item("whole_views", &wave.whole_views)?;
+    out.set_item("whole_views_placed", &wave.whole_views_placed)?;
     out.set_item("still_dots", &wave.still_dots)?;
     out.set_item("converged", wave.converged)?;
     out.set_item("pose_freedom", bundle.wand.pose_freedom())?;

@@ -10,7 +10,7 @@ use super::bundle::robust::{median, noise_px, weigh_softly};
 use super::bundle::{Bundle, Pose, Sighting};
 use super::epipolar::{Motion, fundamental, meet, motions, sampson};
 use super::pose::{View, from_views};
-use super::resection::{self, resect};
+use super::resection::resect;
 use super::wand::{Span, Wand};
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -33,9 +33,6 @@ pub enum NoRig {
     /// Two cameras see it together, but no camera geometry explains what they see with a wand of constant length.
     #[error("no pair of cameras sees a rigid object of the wand's shape")]
     NoGeometry,
-    /// Some cameras share too little with the others.
-    #[error("cameras {0:?} share too few views with the others")]
-    Disconnected(Vec<usize>),
 }
 
 /// A first rig, and where the wand was.
@@ -97,7 +94,8 @@ fn seeds(cameras: usize, frames: &[Vec<View>]) -> Vec<(usize, usize, usize)> {
             }
         }
     }
-    let mut found: Vec<_> = (0..count.len()).map(|k| (count[k], k / cameras, k % cameras)).filter(|c| c.0 > 0).collect();
+    let mut found: Vec<_> =
+        (0..count.len()).map(|k| (count[k], k / cameras, k % cameras)).filter(|c| c.0 > 0).collect();
     found.sort_by_key(|c| (std::cmp::Reverse(c.0), c.1, c.2));
     found.truncate(SEEDS);
     found
@@ -214,7 +212,8 @@ fn focal_lengths(
 }
 
 fn measure(wand: &Wand, f: &Matrix3<f64>, a: f64, b: f64, looked: &[&(OnPlane, OnPlane)]) -> Option<Measured> {
-    let essential = Matrix3::from_diagonal(&Vector3::new(b, b, 1.0)) * f * Matrix3::from_diagonal(&Vector3::new(a, a, 1.0));
+    let essential =
+        Matrix3::from_diagonal(&Vector3::new(b, b, 1.0)) * f * Matrix3::from_diagonal(&Vector3::new(a, a, 1.0));
     let mut best: Option<Measured> = None;
     for motion in motions(&essential)? {
         let placed = |(first, second): &(OnPlane, OnPlane)| -> Option<Vec<Vector3<f64>>> {
@@ -261,11 +260,8 @@ fn length_spread(wand: &Wand, a: &Camera, b: &Camera, named: &[Vec<View>], poses
             all.push(placed);
         }
     }
-    let misfit = if wand.span == Span::Point {
-        1.0 / all.len() as f64
-    } else {
-        spread(wand, all.iter().map(Vec::as_slice)).1
-    };
+    let misfit =
+        if wand.span == Span::Point { 1.0 / all.len() as f64 } else { spread(wand, all.iter().map(Vec::as_slice)).1 };
     (all.len() >= FEWEST_COMMON / 2).then_some(misfit)
 }
 
@@ -284,7 +280,8 @@ fn adjust(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &mut FirstRig) 
     let mut freedom = free(&[ROTATION, POSITION]);
     freedom[FOCAL] = !start.focal_known;
     let joined = |c: usize| !rig.missing.contains(&c);
-    let freedoms = (0..rig.cameras.len()).map(|c| if joined(c) { freedom } else { super::bundle::camera::HELD }).collect();
+    let freedoms =
+        (0..rig.cameras.len()).map(|c| if joined(c) { freedom } else { super::bundle::camera::HELD }).collect();
     let mut sightings = Vec::new();
     let mut poses = Vec::new();
     for (at, views) in rig.poses.iter().zip(frames) {
@@ -294,8 +291,14 @@ fn adjust(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &mut FirstRig) 
         }
         poses.push(*at);
     }
-    let mut bundle =
-        Bundle { cameras: rig.cameras.clone(), freedom: freedoms, wand: wand.clone(), poses, poses_held: false, sightings };
+    let mut bundle = Bundle {
+        cameras: rig.cameras.clone(),
+        freedom: freedoms,
+        wand: wand.clone(),
+        poses,
+        poses_held: false,
+        sightings,
+    };
     for _ in 0..3 {
         let noise = noise_px(&bundle, |_| true);
         weigh_softly(&mut bundle, &noise);
@@ -337,7 +340,8 @@ pub fn rename_all(rig: &FirstRig, wand: &Wand, frames: &mut [Vec<View>]) {
 fn apart(rig: &FirstRig, a: &View, b: &View) -> f64 {
     let (one, two) = (&rig.cameras[a.camera], &rig.cameras[b.camera]);
     let gap = |(p, q): (&Option<Vector2<f64>>, &Option<Vector2<f64>>)| {
-        let (u, v) = (one.ray_in_world(one.normalised_from_pixel((*p)?)?), two.ray_in_world(two.normalised_from_pixel((*q)?)?));
+        let (u, v) =
+            (one.ray_in_world(one.normalised_from_pixel((*p)?)?), two.ray_in_world(two.normalised_from_pixel((*q)?)?));
         Some((two.position_m - one.position_m).dot(&u.cross(&v).normalize()).abs())
     };
     a.pixels.iter().zip(&b.pixels).filter_map(gap).sum()
@@ -366,7 +370,10 @@ fn add_camera(start: &Start, wand: &Wand, frames: &mut [Vec<View>], rig: &mut Fi
                     view.pixels.iter().zip(&wand.markers_m).filter_map(|(p, m)| Some((at.place(m), (*p)?))).collect();
                 if ambiguous {
                     let n = all.len() as f64;
-                    known.push((all.iter().map(|k| k.0).sum::<Vector3<f64>>() / n, all.iter().map(|k| k.1).sum::<Vector2<f64>>() / n));
+                    known.push((
+                        all.iter().map(|k| k.0).sum::<Vector3<f64>>() / n,
+                        all.iter().map(|k| k.1).sum::<Vector2<f64>>() / n,
+                    ));
                 } else {
                     known.extend(all);
                 }
@@ -387,6 +394,3 @@ fn add_camera(start: &Start, wand: &Wand, frames: &mut [Vec<View>], rig: &mut Fi
     }
     false
 }
-
-/// Places needed for a resection, said once.
-pub const FEWEST_PLACES: usize = resection::FEWEST;

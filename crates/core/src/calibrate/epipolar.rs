@@ -69,9 +69,8 @@ fn eight_point(pairs: &Pairs) -> Option<Matrix3<f64>> {
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for (a, b) in pairs {
         let (a, b) = (first * a.push(1.0), second * b.push(1.0));
-        let row = SVector::<f64, 9>::from_row_slice(&[
-            b.x * a.x, b.x * a.y, b.x, b.y * a.x, b.y * a.y, b.y, a.x, a.y, 1.0,
-        ]);
+        let row =
+            SVector::<f64, 9>::from_row_slice(&[b.x * a.x, b.x * a.y, b.x, b.y * a.x, b.y * a.y, b.y, a.x, a.y, 1.0]);
         normal.ger(1.0, &row, &row, 1.0);
     }
     let eigen = SymmetricEigen::new(normal);
@@ -138,7 +137,9 @@ mod tests {
     use super::*;
     use nalgebra::Rotation3;
 
-    fn scene(wrong: usize, sigma: f64) -> (Motion, Vec<(Vector2<f64>, Vector2<f64>)>, Vec<Vector3<f64>>) {
+    type Scene = (Motion, Vec<(Vector2<f64>, Vector2<f64>)>, Vec<Vector3<f64>>);
+
+    fn scene(wrong: usize, sigma: f64) -> Scene {
         let rotation = *Rotation3::from_euler_angles(0.1, -0.9, 0.2).matrix();
         let motion = (rotation, Vector3::new(0.8, 0.1, 0.59).normalize());
         let mut random = Random::new(3, 1);

@@ -85,7 +85,7 @@ impl Pattern {
 
     /// The nearest free dot to the affine place of every marker outside the basis.
     fn complete(&self, dots: &[Vector2<f64>], chosen: &[usize]) -> Option<Vec<usize>> {
-        let size = extent(chosen.iter().map(|&d| dots[d]));
+        let size = extent(&chosen.iter().map(|&d| dots[d]));
         let mut naming = vec![usize::MAX; self.local.len()];
         for (marker, dot) in self.basis.iter().zip(chosen) {
             naming[*marker] = *dot;
@@ -105,7 +105,7 @@ impl Pattern {
     /// Rms misfit (px per degree of freedom) of `u = (A p + b) / (1 + q p)` with q bounded; and the image's size (px).
     fn misfit_px(&self, dots: &[Vector2<f64>], naming: &[usize]) -> (f64, f64) {
         let (markers, span) = (self.local.len(), self.local[0].len());
-        let size = extent(naming.iter().map(|&d| dots[d])).max(1e-9);
+        let size = extent(&naming.iter().map(|&d| dots[d])).max(1e-9);
         let middle = naming.iter().map(|&d| dots[d]).sum::<Vector2<f64>>() / markers as f64;
         let at: Vec<Vector2<f64>> = naming.iter().map(|&d| (dots[d] - middle) / size).collect();
         let unknowns = 3 * span + 2;
@@ -136,7 +136,7 @@ impl Pattern {
     }
 }
 
-fn extent(points: impl Iterator<Item = Vector2<f64>> + Clone) -> f64 {
+fn extent(points: &(impl Iterator<Item = Vector2<f64>> + Clone)) -> f64 {
     let of = |axis: usize| {
         let values = points.clone().map(move |p| p[axis]);
         values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)

@@ -10,6 +10,7 @@ pub mod epipolar;
 pub mod identify;
 pub mod pose;
 pub mod resection;
+pub mod shape;
 pub mod still;
 pub mod wand;
 pub mod wave;

@@ -96,8 +96,7 @@ pub fn fit(own: &[Vector3<f64>], world: &[Vector3<f64>], span: Span) -> Option<P
         return None;
     }
     let n = own.len() as f64;
-    let (own_middle, world_middle) =
-        (own.iter().sum::<Vector3<f64>>() / n, world.iter().sum::<Vector3<f64>>() / n);
+    let (own_middle, world_middle) = (own.iter().sum::<Vector3<f64>>() / n, world.iter().sum::<Vector3<f64>>() / n);
     let scatter: Matrix3<f64> =
         own.iter().zip(world).map(|(p, q)| (q - world_middle) * (p - own_middle).transpose()).sum();
     let svd = SVD::new(scatter, true, true);

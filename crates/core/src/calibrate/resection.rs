@@ -52,7 +52,8 @@ pub fn resect(start: &Camera, known: &[Known], focal_known: bool, seed: u64) -> 
 
 fn median_misfit(camera: &Camera, known: &[Known], misfits: &mut Vec<f64>) -> f64 {
     misfits.clear();
-    misfits.extend(known.iter().map(|(place, pixel)| camera.project(place).map_or(f64::INFINITY, |p| (p - pixel).norm())));
+    misfits
+        .extend(known.iter().map(|(place, pixel)| camera.project(place).map_or(f64::INFINITY, |p| (p - pixel).norm())));
     median(misfits)
 }
 
@@ -63,9 +64,11 @@ pub fn refine(camera: &Camera, known: &[Known], focal_known: bool) -> Camera {
     let mut freedom = free(&[ROTATION, POSITION]);
     freedom[FOCAL] = !focal_known;
     let poses = known.iter().map(|(place, _)| Pose { rotation: Matrix3::identity(), position_m: *place }).collect();
-    let sighting = |(i, (_, pixel)): (usize, &Known)| Sighting { pose: i, camera: 0, marker: 0, pixel: *pixel, weight: 1.0 };
+    let sighting =
+        |(i, (_, pixel)): (usize, &Known)| Sighting { pose: i, camera: 0, marker: 0, pixel: *pixel, weight: 1.0 };
     let sightings = known.iter().enumerate().map(sighting).collect();
-    let mut bundle = Bundle { cameras: vec![camera.clone()], freedom: vec![freedom], wand, poses, sightings, poses_held: true };
+    let mut bundle =
+        Bundle { cameras: vec![camera.clone()], freedom: vec![freedom], wand, poses, sightings, poses_held: true };
     for _ in 0..3 {
         let noise = noise_px(&bundle, |_| true);
         weigh_softly(&mut bundle, &noise);
@@ -103,7 +106,8 @@ fn linear(start: &Camera, known: &[Known], focal_known: bool) -> Option<Camera> 
     let mut m = Matrix3::from_rows(&[rows(0).transpose(), rows(1).transpose(), rows(2).transpose()]);
     let mut t = Vector3::new(v[3], v[7], v[11]);
     // The last row is a unit vector times a positive number: places lie before the camera.
-    let ahead = known.iter().filter(|(place, _)| m.row(2).dot(&((place - middle) / spread).transpose()) + t.z > 0.0).count();
+    let ahead =
+        known.iter().filter(|(place, _)| m.row(2).dot(&((place - middle) / spread).transpose()) + t.z > 0.0).count();
     let sign = if 2 * ahead >= known.len() { 1.0 } else { -1.0 };
     let size = sign / m.row(2).norm();
     (m, t) = (m * size, t * size);
@@ -128,7 +132,11 @@ fn rotation_and_focal(m: &Matrix3<f64>, focal_known: bool) -> Option<(Matrix3<f6
     };
     let (right, down) = (across(0), across(1));
     let focal = if focal_known { 1.0 } else { (right.norm() * down.norm()).sqrt() };
-    let skewed = Matrix3::from_rows(&[(right / right.norm()).transpose(), (down / down.norm()).transpose(), forward.transpose()]);
+    let skewed = Matrix3::from_rows(&[
+        (right / right.norm()).transpose(),
+        (down / down.norm()).transpose(),
+        forward.transpose(),
+    ]);
     let svd = skewed.svd(true, true);
     let rotation = svd.u? * svd.v_t?;
     (rotation.determinant() > 0.0 && focal.is_finite() && focal > 0.0).then_some((rotation, focal))

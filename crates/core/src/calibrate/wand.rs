@@ -41,11 +41,8 @@ impl Wand {
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let axes: [Vector3<f64>; 2] = [0, 1].map(|k| eigen.eigenvectors.column(order[k]).into_owned());
-        let local_from_given = Matrix3::from_rows(&[
-            axes[0].transpose(),
-            axes[1].transpose(),
-            axes[0].cross(&axes[1]).transpose(),
-        ]);
+        let local_from_given =
+            Matrix3::from_rows(&[axes[0].transpose(), axes[1].transpose(), axes[0].cross(&axes[1]).transpose()]);
         let extent = |k: usize| eigen.eigenvalues[order[k]].max(0.0).sqrt();
         let span = match n {
             1 => Span::Point,

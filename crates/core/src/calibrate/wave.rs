@@ -1,16 +1,17 @@
 //! From the raw dots of a wand wave to a calibrated rig: the whole chain.
 
 use super::bootstrap::{FirstRig, NoRig, Start, first_rig, sightings_of};
-use super::bundle::camera::{ASPECT, FOCAL, Freedom, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, free};
-use super::bundle::robust::{median, noise_px, weigh_hard, weigh_softly};
-use super::bundle::{Bundle, Pose, Sighting, camera::HELD};
+use super::bundle::camera::{FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, free};
+use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
+use super::bundle::{Bundle, Pose, Sighting};
 use super::identify::Pattern;
 use super::pose::{View, from_views};
+use super::shape;
 use super::still::still;
 use super::wand::{Span, Wand};
-use crate::camera::{Camera, Lens};
+use crate::camera::Lens;
 use crate::correspond::frame::Dot;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector2;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -49,6 +50,8 @@ pub struct Wave {
     pub missing: Vec<usize>,
     /// Views per camera in which the whole wand was found.
     pub whole_views: Vec<usize>,
+    /// Those of them in frames whose pose is used.
+    pub whole_views_placed: Vec<usize>,
     /// Dots that stay where they are, per camera.
     pub still_dots: Vec<usize>,
     /// Whether the adjustment converged.
@@ -89,6 +92,7 @@ pub fn calibrate(
         left_out_lengths_m: Vec::new(),
         missing: first.missing,
         whole_views: found.count,
+        whole_views_placed: vec![0; start.cameras.len()],
         still_dots: (0..start.cameras.len())
             .map(|c| dots.iter().zip(&fixed).filter(|(d, f)| d.camera == c && **f).count())
             .collect(),
@@ -106,7 +110,8 @@ fn freedom(start: &Start, options: &Options) -> Freedom {
     if options.intrinsics_held || start.focal_known {
         return free(&pose);
     }
-    let mut all = free(&[ROTATION, POSITION, PRINCIPAL, RADIAL]);
+    let mut all = free(&[ROTATION, POSITION, PRINCIPAL, RADIAL, TANGENTIAL]);
+    all[SIXTH] = true;
     all[FOCAL] = true;
     all
 }
@@ -220,6 +225,7 @@ fn gather(
     let usable: Vec<usize> = (0..placed.len()).filter(|&f| placed[f].is_some()).collect();
     let step = usable.len().div_ceil(options.most_poses).max(1);
     let (mut poses, mut frame, mut sightings, mut dot) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut whole = vec![0; bundle.cameras.len()];
     for &f in usable.iter().step_by(step) {
         let Some(pose) = placed[f] else { continue };
         let before = sightings.len();
@@ -230,11 +236,12 @@ fn gather(
         if sightings.len() > before {
             poses.push(pose);
             frame.push(f);
+            views[f].iter().for_each(|v| whole[v.camera] += 1);
         }
     }
     let bundle = &mut wave.bundle;
     (bundle.poses, bundle.sightings) = (poses, sightings);
-    (wave.frame, wave.dot) = (frame, dot);
+    (wave.frame, wave.dot, wave.whole_views_placed) = (frame, dot, whole);
 }
 
 /// The dots of a frame that a pose explains: each marker its nearest dot in each camera, each dot one marker.
@@ -281,6 +288,9 @@ fn finish(wave: &mut Wave, options: &Options) {
     let every = options.left_out_every.max(2);
     let left_out = |pose: usize| pose % every == every - 1;
     for round in 0..4 {
+        if round == 2 {
+            shape::refine(&mut wave.bundle);
+        }
         wave.noise_px = noise_px(&wave.bundle, |_| true);
         if round < 2 {
             weigh_softly(&mut wave.bundle, &wave.noise_px);
@@ -292,9 +302,9 @@ fn finish(wave: &mut Wave, options: &Options) {
     }
     judge(wave, &left_out);
     for _ in 0..3 {
-        wave.noise_px = noise_px(&wave.bundle, |_| true);
+        wave.noise_px = noise_of_used_px(&wave.bundle);
         weigh_hard(&mut wave.bundle, &wave.noise_px);
-        wave.converged = wave.bundle.adjust(10).converged;
+        wave.converged = wave.bundle.adjust(20).converged;
     }
 }
 
@@ -327,14 +337,7 @@ fn lengths(check: &Bundle) -> Vec<(f64, f64)> {
     if check.wand.span == Span::Point {
         return Vec::new();
     }
-    let mut place: Vec<Option<Vector3<f64>>> = vec![None; check.poses.len() * markers];
-    let mut used: Vec<Vec<&Sighting>> = vec![Vec::new(); place.len()];
-    for s in check.sightings.iter().filter(|s| s.weight > 0.0) {
-        used[s.pose * markers + s.marker].push(s);
-    }
-    for (k, own) in used.iter().enumerate().filter(|(_, own)| own.len() >= 2) {
-        place[k] = alone(check, own, check.poses[k / markers].place(&check.wand.markers_m[k % markers]));
-    }
+    let place = shape::places(check);
     let mut out = Vec::new();
     for pose in 0..check.poses.len() {
         for (i, j) in check.wand.pairs() {
@@ -344,50 +347,4 @@ fn lengths(check: &Bundle) -> Vec<(f64, f64)> {
         }
     }
     out
-}
-
-/// One marker's place from its own sightings; `None` where their rays hardly cross.
-fn alone(check: &Bundle, sightings: &[&Sighting], from: Vector3<f64>) -> Option<Vector3<f64>> {
-    let rays: Vec<Vector3<f64>> =
-        sightings.iter().map(|s| (from - check.cameras[s.camera].position_m).normalize()).collect();
-    let cross = |a: &Vector3<f64>| rays.iter().map(|b| a.cross(b).norm()).fold(0.0, f64::max);
-    if rays.iter().map(cross).fold(0.0, f64::max) < SMALLEST_SINE {
-        return None;
-    }
-    let mut place = from;
-    for _ in 0..5 {
-        let mut normal = nalgebra::Matrix3::zeros();
-        let mut right = Vector3::zeros();
-        for s in sightings {
-            let (pixel, by_point) = check.cameras[s.camera].project_linear(&place)?;
-            normal += by_point.transpose() * by_point * s.weight;
-            right += by_point.transpose() * (s.pixel - pixel) * s.weight;
-        }
-        place += normal.cholesky()?.solve(&right);
-    }
-    Some(place)
-}
-
-/// Rays must cross by 10° for a length to be measured between them.
-const SMALLEST_SINE: f64 = 0.17;
-
-/// Median residual (px) of the sightings in use.
-pub fn median_residual_px(wave: &Wave) -> f64 {
-    let used = wave.bundle.sightings.iter().filter(|s| s.weight > 0.0);
-    median(&mut used.filter_map(|s| wave.bundle.residual(s)).map(|r| r.norm()).collect::<Vec<_>>())
-}
-
-/// A camera about which nothing is known but its sensor: focal length as the image's width, no distortion.
-pub fn unknown_camera(id: String, size_px: [f64; 2]) -> Camera {
-    let mut camera = crate::synth::rigs::looking_at(0, Vector3::zeros(), Vector3::x(), size_px, size_px[0]);
-    camera.id = id;
-    camera
-}
-
-/// Parameters that only a lens with more than a plain pinhole has; kept for the choice of a lens model.
-pub fn further_lens_parameters() -> Freedom {
-    let mut all = free(&[TANGENTIAL]);
-    all[SIXTH] = true;
-    all[ASPECT] = true;
-    all
 }

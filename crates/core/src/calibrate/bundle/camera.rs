@@ -88,8 +88,7 @@ pub fn moved(camera: &Camera, step: &SVector<f64, PARAMETERS>) -> Camera {
     let focal = camera.focal_px[0] + step[FOCAL];
     other.focal_px = [focal, aspect * focal];
     other.principal_px = [camera.principal_px[0] + step[7], camera.principal_px[1] + step[8]];
-    let lens_steps = [step[9], step[10], step[11], step[12], step[13]];
-    if lens_steps != [0.0; 5]
+    if step.rows(9, 5).norm() > 0.0
         && let Some((mut k, mut p)) = coefficients(&camera.lens)
     {
         k[0] += step[9];

@@ -17,8 +17,8 @@ pub mod covariance;
 mod normal;
 pub mod robust;
 
-use crate::camera::Camera;
 use crate::calibrate::wand::{Span, Wand};
+use crate::camera::Camera;
 use camera::{Freedom, PARAMETERS};
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector2, Vector3};
 use normal::Normal;
@@ -78,7 +78,7 @@ pub struct Bundle {
     pub poses: Vec<Pose>,
     /// Whether the poses are known and stay.
     pub poses_held: bool,
-    /// In ascending order of pose.
+    /// In ascending order of pose, then of camera.
     pub sightings: Vec<Sighting>,
 }
 

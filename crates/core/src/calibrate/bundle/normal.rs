@@ -31,6 +31,15 @@ pub struct Normal {
     held_in_pose: [bool; POSE],
 }
 
+/// Adds `column rowᵀ` to a matrix in column-major order: the inner loop of everything here.
+fn add_outer(matrix: &mut [f64], column: &[f64], row: &[f64]) {
+    for (target, factor) in matrix.chunks_exact_mut(column.len()).zip(row) {
+        for (entry, value) in target.iter_mut().zip(column) {
+            *entry += value * factor;
+        }
+    }
+}
+
 impl Normal {
     /// Linearises all sightings of positive weight.
     pub fn of(bundle: &Bundle) -> Self {
@@ -78,21 +87,25 @@ impl Normal {
             }
         }
         let residual = s.pixel - pixel;
-        let weighted = by_camera.transpose() * s.weight;
-        self.cameras[s.camera] += weighted * by_camera;
-        self.right[s.camera] += weighted * residual;
-        own.block += by_pose.transpose() * by_pose * s.weight;
-        own.right += by_pose.transpose() * residual * s.weight;
-        let cross = weighted * by_pose;
-        match self.shared[own.first..].iter_mut().find(|o| o.camera == s.camera) {
-            Some(known) => known.cross += cross,
-            None => self.shared.push(Shared { camera: s.camera, cross }),
+        if self.shared[own.first..].last().is_none_or(|o| o.camera != s.camera) {
+            self.shared.push(Shared { camera: s.camera, cross: Cross::zeros() });
+        }
+        let Some(shared) = self.shared.last_mut() else { return };
+        for axis in 0..2 {
+            let (camera_row, pose_row) = (by_camera.row(axis).transpose(), by_pose.row(axis).transpose());
+            let (weighted_camera, weighted_pose) = (camera_row * s.weight, pose_row * s.weight);
+            add_outer(self.cameras[s.camera].as_mut_slice(), weighted_camera.as_slice(), camera_row.as_slice());
+            add_outer(own.block.as_mut_slice(), weighted_pose.as_slice(), pose_row.as_slice());
+            add_outer(shared.cross.as_mut_slice(), weighted_camera.as_slice(), pose_row.as_slice());
+            self.right[s.camera] += weighted_camera * residual[axis];
+            own.right += weighted_pose * residual[axis];
         }
     }
 
     /// The step of cameras and poses for a damping relative to the diagonal; `None` where the equations are singular.
     pub fn step(&self, damping: f64) -> Option<(DVector<f64>, Vec<SVector<f64, POSE>>)> {
-        let inverses: Vec<PoseBlock> = self.poses.iter().map(|p| self.inverse(&p.block, damping)).collect::<Option<_>>()?;
+        let inverses: Vec<PoseBlock> =
+            self.poses.iter().map(|p| self.inverse(&p.block, damping)).collect::<Option<_>>()?;
         let (matrix, right) = self.reduced(&inverses, damping);
         let cameras = Cholesky::new(matrix)?.solve(&right);
         let step_of = |i: usize| SVector::<f64, PARAMETERS>::from_fn(|k, _| cameras[i * PARAMETERS + k]);
@@ -136,7 +149,12 @@ impl Normal {
                 let gain = a.cross * inverse;
                 right[a.camera] -= gain * p.right;
                 for b in own.iter().filter(|b| b.camera <= a.camera) {
-                    blocks[a.camera * (a.camera + 1) / 2 + b.camera].gemm(-1.0, &gain, &b.cross.transpose(), 1.0);
+                    let block = &mut blocks[a.camera * (a.camera + 1) / 2 + b.camera];
+                    for k in 0..POSE {
+                        let (column, row) = (gain.column(k), b.cross.column(k));
+                        let minus = row.map(|v| -v);
+                        add_outer(block.as_mut_slice(), column.as_slice(), minus.as_slice());
+                    }
                 }
             }
         }
@@ -152,7 +170,9 @@ impl Normal {
                     }
                 }
                 matrix.view_mut((i * PARAMETERS, j * PARAMETERS), (PARAMETERS, PARAMETERS)).copy_from(&block);
-                matrix.view_mut((j * PARAMETERS, i * PARAMETERS), (PARAMETERS, PARAMETERS)).copy_from(&block.transpose());
+                matrix
+                    .view_mut((j * PARAMETERS, i * PARAMETERS), (PARAMETERS, PARAMETERS))
+                    .copy_from(&block.transpose());
             }
         }
         (matrix, DVector::from_iterator(n * PARAMETERS, right.iter().flat_map(|r| r.iter().copied())))

@@ -4,8 +4,9 @@ use super::Bundle;
 
 /// Median of the length of a 2D error of standard deviation 1 per axis (Rayleigh).
 const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_5;
-/// A sighting this many standard deviations off is left out: one in ten thousand good ones is.
-pub const OUTLYING: f64 = 4.3;
+/// A sighting this many standard deviations off is left out. Wrong dots lie anywhere, so that few are nearer; blurred
+/// ones of a fast wand have long tails and stay.
+pub const OUTLYING: f64 = 6.0;
 /// Fewer residuals say nothing about a camera's noise.
 const FEWEST: usize = 8;
 
@@ -15,17 +16,33 @@ const FEWEST: usize = 8;
 pub fn noise_px(bundle: &Bundle, counts: impl Fn(usize) -> bool) -> Vec<f64> {
     let mut lengths = vec![Vec::new(); bundle.cameras.len()];
     for (i, s) in bundle.sightings.iter().enumerate() {
-        if counts(i) && let Some(r) = bundle.residual(s) {
+        if counts(i)
+            && let Some(r) = bundle.residual(s)
+        {
             lengths[s.camera].push(r.norm());
         }
     }
-    let own: Vec<Option<f64>> = lengths
-        .iter_mut()
-        .map(|l| (l.len() >= FEWEST).then(|| (median(l) / RAYLEIGH_MEDIAN).max(1e-6)))
-        .collect();
+    let own: Vec<Option<f64>> =
+        lengths.iter_mut().map(|l| (l.len() >= FEWEST).then(|| (median(l) / RAYLEIGH_MEDIAN).max(1e-6))).collect();
     let mut known: Vec<f64> = own.iter().copied().flatten().collect();
     let common = if known.is_empty() { 1.0 } else { median(&mut known) };
     own.into_iter().map(|o| o.unwrap_or(common)).collect()
+}
+
+/// Noise (px per axis) of each camera as the root mean square of the sightings in use; never below the median's.
+///
+/// Dots of a fast wand are blurred and err more than most: clipping at the median's noise would lose them.
+pub fn noise_of_used_px(bundle: &Bundle) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0); bundle.cameras.len()];
+    for s in bundle.sightings.iter().filter(|s| s.weight > 0.0) {
+        if let Some(r) = bundle.residual(s) {
+            sums[s.camera].0 += 0.5 * r.norm_squared();
+            sums[s.camera].1 += 1;
+        }
+    }
+    let typical = noise_px(bundle, |i| bundle.sightings[i].weight > 0.0);
+    let rms = |(sum, n): &(f64, usize)| if *n > 0 { (sum / *n as f64).sqrt() } else { 0.0 };
+    sums.iter().zip(typical).map(|(own, typical)| rms(own).max(typical)).collect()
 }
 
 /// The middle value; 0 for none.
