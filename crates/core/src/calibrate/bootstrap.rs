@@ -56,6 +56,9 @@ const FOCAL_STEPS: usize = 13;
 const REFINED: usize = 4;
 /// Views of a pair looked at in the search for focal lengths.
 const LOOKED_AT: usize = 120;
+/// Adjustments of a rig that grows: rounds of weighing, steps of each. The bundle that follows does the rest.
+const ROUNDS: usize = 3;
+const STEPS: usize = 3;
 /// Without lenses and principal points, projections are off by up to this part of the image's width.
 const ROUGH: f64 = 0.015;
 
@@ -299,10 +302,10 @@ fn adjust(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &mut FirstRig) 
         poses_held: false,
         sightings,
     };
-    for _ in 0..3 {
+    for _ in 0..ROUNDS {
         let noise = noise_px(&bundle, |_| true);
         weigh_softly(&mut bundle, &noise);
-        bundle.adjust(6);
+        bundle.adjust(STEPS);
     }
     rig.cameras = bundle.cameras;
     let mut adjusted = bundle.poses.into_iter();

@@ -59,7 +59,7 @@ pub struct Wave {
 }
 
 /// Frames used for the first rig: as many as give every camera enough views.
-const BOOTSTRAP_FRAMES: usize = 400;
+const BOOTSTRAP_FRAMES: usize = 250;
 const BOOTSTRAP_VIEWS: usize = 80;
 
 /// Calibrates. `dots` in ascending order of frame; `ranges`: those of each frame.
@@ -81,7 +81,7 @@ pub fn calibrate(
     for _ in 0..4 {
         let noise = noise_px(&rough, |_| true);
         weigh_softly(&mut rough, &noise);
-        rough.adjust(8);
+        rough.adjust(5);
     }
     let noise = noise_px(&rough, |_| true);
     let mut wave = Wave {

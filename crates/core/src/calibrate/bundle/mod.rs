@@ -94,7 +94,7 @@ pub struct Ended {
 }
 
 /// A relative decrease of the cost below this ends an adjustment.
-const SETTLED: f64 = 1e-9;
+const SETTLED: f64 = 1e-7;
 const LARGEST_DAMPING: f64 = 1e12;
 
 impl Bundle {
