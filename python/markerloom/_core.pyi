@@ -141,3 +141,10 @@ def calibrate_wand(
     left_out_every: int,
     most_poses: int,
 ) -> dict[str, Any]: ...
+def refine_rig(
+    rig: Rig,
+    points_m: Sequence[Sequence[float]],
+    point: Sequence[int],
+    camera: Sequence[int],
+    pixel: Sequence[Sequence[float]],
+) -> tuple[list[dict[str, Any]], list[float]]: ...

@@ -7,7 +7,9 @@ from pathlib import Path
 from markerloom import formats
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
+from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
+from markerloom.calibrate.refine import refine_rig
 from markerloom.convert import convert
 from markerloom.demo import Demo, demo
 from markerloom.evaluate import (
@@ -52,6 +54,7 @@ __all__ = [
     "Truth",
     "Wand",
     "bench",
+    "calibrate_origin",
     "calibrate_wand",
     "convert",
     "demo",
@@ -65,6 +68,7 @@ __all__ = [
     "read_points",
     "read_wand",
     "reconstruct",
+    "refine_rig",
     "save",
     "save_calibration_page",
     "save_track_page",

@@ -2,10 +2,13 @@
 
 use crate::conv::{self, DotArrays};
 use crate::errors::InputError;
+use crate::rig::PyRig;
 use crate::synth::described;
 use markerloom_core::calibrate::bootstrap::Start;
+use markerloom_core::calibrate::bundle::Sighting;
 use markerloom_core::calibrate::bundle::camera::PARAMETERS;
 use markerloom_core::calibrate::bundle::covariance::covariance;
+use markerloom_core::calibrate::refine::refine;
 use markerloom_core::calibrate::wand::{Span, Wand};
 use markerloom_core::calibrate::wave::{Options, Wave, calibrate};
 use markerloom_core::camera::Lens;
@@ -75,9 +78,8 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
     out.set_item("pose_position_m", table(py, places, 3)?)?;
     out.set_item("pose_frame", wave.frame.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
     out.set_item("dot", wave.dot.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
-    let index = |f: fn(&markerloom_core::calibrate::bundle::Sighting) -> usize| {
-        bundle.sightings.iter().map(|s| f(s) as i64).collect::<Vec<_>>().into_pyarray(py)
-    };
+    let index =
+        |f: fn(&Sighting) -> usize| bundle.sightings.iter().map(|s| f(s) as i64).collect::<Vec<_>>().into_pyarray(py);
     out.set_item("pose", index(|s| s.pose))?;
     out.set_item("camera", index(|s| s.camera))?;
     out.set_item("marker", index(|s| s.marker))?;
@@ -96,4 +98,33 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
     }
     out.set_item("parameters", PARAMETERS)?;
     Ok(out)
+}
+
+/// Camera poses adjusted to points that are seen: cameras, noise (px). `point` and `camera` index each pixel.
+#[pyfunction]
+pub fn refine_rig<'py>(
+    py: Python<'py>,
+    rig: &PyRig,
+    points_m: Vec<[f64; 3]>,
+    point: Vec<usize>,
+    camera: Vec<usize>,
+    pixel: Vec<[f64; 2]>,
+) -> PyResult<(Vec<Bound<'py, PyDict>>, Vec<f64>)> {
+    let places: Vec<Vector3<f64>> = points_m.into_iter().map(Vector3::from).collect();
+    let cameras = &rig.inner.cameras;
+    if point.len() != camera.len()
+        || point.len() != pixel.len()
+        || point.iter().any(|p| *p >= places.len())
+        || camera.iter().any(|c| *c >= cameras.len())
+    {
+        return Err(InputError::new_err("points, cameras and pixels do not fit together"));
+    }
+    let mut sightings: Vec<Sighting> = (0..point.len())
+        .map(|i| Sighting { pose: point[i], camera: camera[i], marker: 0, pixel: pixel[i].into(), weight: 1.0 })
+        .collect();
+    sightings.sort_by_key(|s| (s.pose, s.camera));
+    let refined = py.detach(|| refine(cameras, &places, sightings));
+    let (cameras, noise) =
+        refined.ok_or_else(|| InputError::new_err("the cameras cannot be refined from these points"))?;
+    Ok((cameras.iter().map(|c| described(py, c)).collect::<PyResult<_>>()?, noise))
 }

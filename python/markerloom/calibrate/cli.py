@@ -11,7 +11,9 @@ import typer
 
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
+from markerloom.calibrate.refine import refine_rig
 from markerloom.calibrate.wand import Calibration, calibrate_wand
 from markerloom.calibrate.wands import read_wand
 from markerloom.errors import InputError
@@ -76,6 +78,69 @@ def wand(
         for text in made.report["warnings"]:
             typer.echo(f"warning: {text}", err=True)
         typer.echo(_summary(made, output))
+
+
+@app.command()
+def origin(
+    observations: Annotated[Path, typer.Argument(help="Dots of a take with the object lying on the floor.")],
+    calibration: Annotated[Path, typer.Option("--calibration", help=".xcp, Calib.toml, .qca.txt or .mcal")],
+    floor_object: Annotated[
+        str, typer.Option("--object", help="A .toml file with marker places in the wanted world, or vicon-t.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Calib.toml to write")],
+    height_mm: Annotated[
+        float, typer.Option("--height-mm", help="Height of the stated places' z = 0 above the floor.")
+    ] = 0.0,
+    report: Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Set origin, floor and axes from an object on the floor; scale and the cameras' places to each other stay.
+
+    Example: markerloom calibrate origin floor.csv --calibration rig.toml --object l-frame.toml -o rig.toml
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    if formats.ending(output) != ".toml":
+        raise typer.BadParameter(f"{output}: calibrations are written as .toml")
+    rig = formats.read_calibration(calibration)
+    placed, result = calibrate_origin(
+        rig, formats.read_observations(observations), read_wand(floor_object), height_m=height_mm / 1000.0
+    )
+    if report is not None:
+        reports.save(reports.of_run([observations, calibration], options, result), report)
+    formats.write_calibration(placed, output)
+    if not quiet:
+        for text in result["warnings"]:
+            typer.echo(f"warning: {text}", err=True)
+        typer.echo(f"{result['frames']} frames, misfit {result['misfit_mm']:.2f} mm → {output}")
+
+
+@app.command()
+def refine(
+    observations: Annotated[Path, typer.Argument(help="Dots of any take of this rig.")],
+    calibration: Annotated[Path, typer.Option("--calibration", help=".xcp, Calib.toml, .qca.txt or .mcal")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Calib.toml to write")],
+    report: Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Adjust the cameras' places and directions to a take's own markers; lenses, scale and origin stay.
+
+    Example: markerloom calibrate refine take.x2d --calibration take.xcp -o refined.toml
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    if formats.ending(output) != ".toml":
+        raise typer.BadParameter(f"{output}: calibrations are written as .toml")
+    rig = formats.read_calibration(calibration)
+    refined, result = refine_rig(rig, formats.read_observations(observations))
+    if report is not None:
+        reports.save(reports.of_run([observations, calibration], options, result), report)
+    if result["verdict"] != "ok":
+        raise InputError(f"the refined rig is refused, {output} stays as it was: {result['reasons'][0]}")
+    formats.write_calibration(refined, output)
+    if not quiet:
+        for text in result["warnings"]:
+            typer.echo(f"warning: {text}", err=True)
+        before, after = result["residual_px_before"]["rms"], result["residual_px_after"]["rms"]
+        typer.echo(f"residual on frames left out {before:.3f} → {after:.3f} px → {output}")
 
 
 def _summary(made: Calibration, output: Path) -> str:

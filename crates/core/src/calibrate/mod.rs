@@ -9,6 +9,7 @@ pub mod bundle;
 pub mod epipolar;
 pub mod identify;
 pub mod pose;
+pub mod refine;
 pub mod resection;
 pub mod shape;
 pub mod still;
