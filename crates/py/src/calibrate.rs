@@ -44,7 +44,7 @@ pub fn calibrate_wand<'py>(
     let (all, ranges) = dots.frames(cameras.len())?;
     let wand = wand(markers_m)?;
     let start = Start { cameras, focal_known };
-    let options = Options { intrinsics_held: focal_known, left_out_every, most_poses };
+    let options = Options { left_out_every, most_poses };
     let solved = py.detach(|| calibrate(&start, &wand, &all, &ranges, &options));
     let wave = solved.map_err(|e| InputError::new_err(e.to_string()))?;
     of_wave(py, &wave)

@@ -6,7 +6,7 @@
 use super::bundle::camera::{FOCAL, POSITION, ROTATION, free};
 use super::bundle::robust::{median, noise_px, weigh_hard, weigh_softly};
 use super::bundle::{Bundle, Pose, Sighting};
-use super::wand::{Span, Wand};
+use super::wand::Wand;
 use crate::camera::Camera;
 use crate::synth::random::Random;
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
@@ -60,7 +60,6 @@ fn median_misfit(camera: &Camera, known: &[Known], misfits: &mut Vec<f64>) -> f6
 /// Pose and focal length by robust least squares from a start; the places are taken as exact.
 pub fn refine(camera: &Camera, known: &[Known], focal_known: bool) -> Camera {
     let Some(wand) = Wand::new(&[Vector3::zeros()]) else { return camera.clone() };
-    debug_assert_eq!(wand.span, Span::Point);
     let mut freedom = free(&[ROTATION, POSITION]);
     freedom[FOCAL] = !focal_known;
     let poses = known.iter().map(|(place, _)| Pose { rotation: Matrix3::identity(), position_m: *place }).collect();

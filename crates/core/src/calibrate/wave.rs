@@ -15,21 +15,13 @@ use nalgebra::Vector2;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// What may be adjusted.
+/// How poses are used.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Whether focal lengths and lenses are known and stay.
-    pub intrinsics_held: bool,
     /// One pose in this many is left out of the fit that is judged by it.
     pub left_out_every: usize,
     /// Poses used at most, spread over the wave.
     pub most_poses: usize,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self { intrinsics_held: false, left_out_every: 10, most_poses: 6000 }
-    }
 }
 
 /// A calibrated rig and everything by which it is judged.
@@ -76,7 +68,7 @@ pub fn calibrate(
     let chosen = bootstrap_frames(start.cameras.len(), &views);
     let mut few: Vec<Vec<View>> = chosen.iter().map(|&f| views[f].clone()).collect();
     let first = first_rig(start, wand, &mut few)?;
-    let freedom = freedom(start, options);
+    let freedom = freedom(start);
     let mut rough = rough_bundle(start, wand, &few, &first, &freedom);
     for _ in 0..4 {
         let noise = noise_px(&rough, |_| true);
@@ -105,9 +97,9 @@ pub fn calibrate(
     Ok(wave)
 }
 
-fn freedom(start: &Start, options: &Options) -> Freedom {
+fn freedom(start: &Start) -> Freedom {
     let pose = [ROTATION, POSITION];
-    if options.intrinsics_held || start.focal_known {
+    if start.focal_known {
         return free(&pose);
     }
     let mut all = free(&[ROTATION, POSITION, PRINCIPAL, RADIAL, TANGENTIAL]);

@@ -1,6 +1,6 @@
 //! Bundle adjustment of cameras and of the poses of one rigid object (a wand; a single marker is one too).
 //!
-//! Minimises `Σ w |pixel − project(camera, R p + t)|² / σ²` over cameras (pose, focal length, aspect, principal point,
+//! Minimises `Σ w |pixel − project(camera, R p + t)|²`, w = 1/σ² times a robust factor, over cameras (pose, focal length, aspect, principal point,
 //! OpenCV's k1, k2, p1, p2, k3; each may be held) and object poses, by Levenberg–Marquardt. The normal equations
 //!
 //! ```text
@@ -68,7 +68,7 @@ pub struct Sighting {
 /// Everything that is adjusted together.
 #[derive(Clone, Debug)]
 pub struct Bundle {
-    /// The cameras; their lenses must be ideal or OpenCV's without denominator.
+    /// The cameras. Lens parameters can be free only where the lens is ideal or OpenCV's without denominator.
     pub cameras: Vec<Camera>,
     /// Which parameters of each camera are free.
     pub freedom: Vec<Freedom>,
@@ -104,7 +104,7 @@ impl Bundle {
         Some(s.pixel - self.cameras[s.camera].project(&place)?)
     }
 
-    /// `Σ w r²`; a sighting that cannot be projected counts as one at `lost_px`.
+    /// `Σ w r²`; a sighting that cannot be projected counts as one that is off by the image's diagonal.
     pub fn cost(&self) -> f64 {
         self.sightings.iter().filter(|s| s.weight > 0.0).map(|s| s.weight * self.squared(s)).sum()
     }
