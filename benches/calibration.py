@@ -1,6 +1,6 @@
 """Calibration from simulated wand waves beside the Cramér–Rao bound, and from the real wave.
 
-    python benches/calibration.py [simulated|real] [--cameras=8,16,32] [--seeds=5] [--frames=1000]
+    python benches/calibration.py [simulated|errors|real] [--cameras=8,16,32] [--seeds=0:5] [--frames=1000]
 
 The bound is computed here from the true rig and the true poses with numerical derivatives of a projection of its own,
 for the parameters that the calibration leaves free; the world is laid onto the camera centres.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,37 +53,64 @@ def derivatives(camera: ml.Camera, places: np.ndarray, middle: np.ndarray) -> np
     return np.stack(columns, axis=2)
 
 
-def bound_mm(take: ml.SimulatedTake) -> np.ndarray:
-    """Smallest standard deviation (mm, three axes together) of each camera centre."""
+def best_mm(take: ml.SimulatedTake) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest standard deviation (mm, three axes together) of each camera centre, and the errors of an ideal estimate.
+
+    The ideal estimate is one Gauss-Newton step from the truth with every dot's true owner: no estimator that knows
+    less does better but by chance, and this shows how much of that the drawn noise holds.
+    """
     rig, sigma = take.rig, take.scene.sigma_px
     markers = len(ml.read_wand(take.scene.wand).markers)
     places = take.truth.xyz_mm.reshape(-1, markers, 3) / 1000.0
-    labels = sorted(set(take.truth.label.tolist()))
-    table = take.truth_assignments.to_pydict()
     n, frames = len(rig), len(places)
-    full = np.zeros((n * CAMERA, n * CAMERA))
+    full, right = np.zeros((n * CAMERA, n * CAMERA)), np.zeros(n * CAMERA)
     blocks, crosses = np.zeros((frames, POSE, POSE)), np.zeros((frames, n * CAMERA, POSE))
+    pose_right = np.zeros((frames, POSE))
     for index, camera in enumerate(rig.cameras):
-        rows = [i for i, c in enumerate(table["camera"]) if c == camera.id]
-        frame = np.array([table["frame"][i] for i in rows])
-        marker = np.array([labels.index(table["label"][i]) for i in rows])
+        frame, marker, pixel = true_sightings(take, camera.id)
         both = derivatives(camera, places[frame, marker], places[frame].mean(axis=1))
+        off = (pixel - project(np.zeros(CAMERA), places[frame, marker], camera)) / sigma
         own, pose = both[:, :, :CAMERA] / sigma, both[:, :, CAMERA:] / sigma
         at = slice(index * CAMERA, (index + 1) * CAMERA)
         full[at, at] = np.einsum("nri,nrj->ij", own, own)
+        right[at] = np.einsum("nri,nr->i", own, off)
         np.add.at(blocks, frame, np.einsum("nri,nrj->nij", pose, pose))
+        np.add.at(pose_right, frame, np.einsum("nri,nr->ni", pose, off))
         np.add.at(crosses[:, at], frame, np.einsum("nri,nrj->nij", own, pose))
     seen = np.linalg.matrix_rank(blocks) == POSE
-    for block, cross in zip(blocks[seen], crosses[seen], strict=True):
-        full -= cross @ np.linalg.solve(block, cross.T)
+    for block, cross, own_right in zip(blocks[seen], crosses[seen], pose_right[seen], strict=True):
+        gain = np.linalg.solve(block, cross.T).T
+        full -= gain @ cross.T
+        right -= gain @ own_right
     scale = 1 / np.sqrt(np.diag(full))
     values, vectors = np.linalg.eigh(full * np.outer(scale, scale))
     kept = vectors[:, 6:]  # the six motions of the world are free
     covariance = (kept / values[6:]) @ kept.T * np.outer(scale, scale)
     motions, hold = world(rig)
     lay = np.eye(n * CAMERA) - motions @ np.linalg.solve(hold @ motions, hold)
-    covariance = lay @ covariance @ lay.T
-    return 1000 * np.sqrt([np.trace(covariance[i + 3 : i + 6, i + 3 : i + 6]) for i in range(0, n * CAMERA, CAMERA)])
+    step, covariance = lay @ covariance @ right, lay @ covariance @ lay.T
+    centers = [slice(i + 3, i + 6) for i in range(0, n * CAMERA, CAMERA)]
+    return (
+        1000 * np.sqrt([np.trace(covariance[c, c]) for c in centers]),
+        1000 * np.array([np.linalg.norm(step[c]) for c in centers]),
+    )
+
+
+def true_sightings(take: ml.SimulatedTake, camera: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frame, marker and pixel of every dot of a camera that is one marker alone."""
+    labels = {label: i for i, label in enumerate(sorted(set(take.truth.label.tolist())))}
+    dots = take.observations
+    own = dots.camera == dots.camera_ids.index(camera)
+    rows = np.flatnonzero(own)[np.argsort(dots.frame[own], kind="stable")]
+    first = dict(zip(*np.unique(dots.frame[rows], return_index=True), strict=True))
+    table = take.truth_assignments.to_pydict()
+    owners: dict[int, list[tuple[int, int]]] = {}
+    for f, c, o, label in zip(*(table[k] for k in ("frame", "camera", "observation", "label")), strict=True):
+        if c == camera:
+            owners.setdefault(int(rows[first[f] + o]), []).append((f, labels[label]))
+    alone = [(row, *of[0]) for row, of in owners.items() if len(of) == 1]
+    row, frame, marker = np.array(alone).T
+    return frame, marker, dots.pixel[row]
 
 
 def world(rig: ml.Rig) -> tuple[np.ndarray, np.ndarray]:
@@ -108,17 +136,37 @@ def aligned(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, float]:
     return a @ turn.T - b, float((s * signs).sum() / (a**2).sum() - 1)
 
 
-def simulated(cameras: list[int], seeds: int, frames: int) -> None:
+def with_errors(take: ml.SimulatedTake) -> ml.Observations:
+    """The take's dots with one in twenty anywhere, and one view in ten turned end for end: its markers change names."""
+    random = np.random.default_rng(take.scene.seed)
+    dots = take.observations
+    pixel = dots.pixel.copy()
+    _, view = np.unique(np.column_stack([dots.frame, dots.camera]), axis=0, return_inverse=True)
+    view = view.reshape(-1)
+    middle = np.column_stack([np.bincount(view, pixel[:, k]) / np.bincount(view) for k in (0, 1)])
+    size = np.array([take.scene.image_width, take.scene.image_height])
+    ends = 2 * middle[view] - pixel
+    outside = np.bincount(view, np.any((ends < 0) | (ends > size - 1), axis=1)) > 0
+    turned = ((random.random(len(middle)) < 0.10 / (1 - outside.mean())) & ~outside)[view]
+    pixel[turned] = ends[turned]
+    wrong = random.random(len(pixel)) < 0.05
+    pixel[wrong] = random.random((int(wrong.sum()), 2)) * size
+    return replace(dots, pixel=pixel)
+
+
+def simulated(cameras: list[int], seeds: range, frames: int, errors: bool) -> None:
     """One row per rig: 0.1 px, unknown focal lengths, clutter and reflections as the scene has them."""
-    print("cameras  verdicts  px/σ    centres mm  bound mm  ratio  (e/σ)²  scale     seconds")
+    print(f"{'with wrong dots and names' if errors else 'as simulated'}; seeds {seeds.start}-{seeds.stop - 1}")
+    print("cameras  verdicts  px/σ    centres mm  ideal mm  bound mm  ratio  (e/σ)²  ideal   scale     seconds")
     for n in cameras:
         rows = []
-        for seed in range(seeds):
+        for seed in seeds:
             take = ml.simulate(ml.make_scene("wand", cameras=n, frames=frames, seed=seed))
             size = (float(take.scene.image_width), float(take.scene.image_height))
+            observations = with_errors(take) if errors else take.observations
             start = time.perf_counter()
             made = ml.calibrate_wand(
-                take.observations, ml.read_wand(take.scene.wand), image_sizes=dict.fromkeys(take.rig.ids, size)
+                observations, ml.read_wand(take.scene.wand), image_sizes=dict.fromkeys(take.rig.ids, size)
             )
             seconds = time.perf_counter() - start
             error, scale = aligned(
@@ -128,12 +176,14 @@ def simulated(cameras: list[int], seeds: int, frames: int) -> None:
             sigma = np.array([c["position_sigma_mm"] for c in made.report["cameras"].values()])
             fit = made.report["reprojection_px"] / take.scene.sigma_px
             ok = made.report["verdict"] == "ok"
-            squares = [np.mean(error_mm**2), np.mean(bound_mm(take) ** 2), np.mean((error_mm / sigma) ** 2)]
+            bound, ideal = best_mm(take)
+            squares = [np.mean(v**2) for v in (error_mm, ideal, bound, error_mm / sigma, ideal / bound)]
             rows.append([ok, fit, *squares, abs(scale), seconds])
-        ok, fit, error, bound, honest, scale, seconds = np.mean(rows, axis=0)
+        ok, fit, error, ideal, bound, honest, least, scale, seconds = np.mean(rows, axis=0)
+        roots = " ".join(f"{np.sqrt(v):9.4f}" for v in (error, ideal, bound))
         print(
-            f"{n:7d}  {ok * seeds:.0f} of {seeds}    {fit:.4f}  {np.sqrt(error):10.4f}  {np.sqrt(bound):8.4f}  "
-            f"{np.sqrt(error / bound):5.3f}  {honest:6.3f}  {scale:.2e}  {seconds:7.1f}",
+            f"{n:7d}  {ok * len(seeds):.0f} of {len(seeds)}    {fit:.4f}  {roots}  {np.sqrt(error / bound):5.3f}  "
+            f"{honest:6.3f}  {least:6.3f}  {scale:.2e}  {seconds:7.1f}",
             flush=True,
         )
 
@@ -159,10 +209,11 @@ def real() -> None:
 def main() -> None:
     """Run what is asked for."""
     options = dict(a.lstrip("-").split("=", 1) for a in sys.argv[1:] if a.startswith("--"))
-    wanted = [a for a in sys.argv[1:] if not a.startswith("--")] or ["simulated", "real"]
-    if "simulated" in wanted:
-        cameras = [int(n) for n in options.get("cameras", "8,16,32").split(",")]
-        simulated(cameras, int(options.get("seeds", "5")), int(options.get("frames", "1000")))
+    wanted = [a for a in sys.argv[1:] if not a.startswith("--")] or ["simulated", "errors", "real"]
+    cameras = [int(n) for n in options.get("cameras", "8,16,32").split(",")]
+    seeds = range(*map(int, options.get("seeds", "0:5").split(":")))
+    for kind in [k for k in ("simulated", "errors") if k in wanted]:
+        simulated(cameras, seeds, int(options.get("frames", "1000")), kind == "errors")
     if "real" in wanted:
         real()
 

@@ -33,7 +33,7 @@ class Calibration:
 
     ``dots_px``: for each camera id the pixels (n, 2) of the wand's dots in use; ``residuals_px``: their residuals
     (n, 2). ``covariance``: of all camera parameters (15 each: rotation in camera axes, position, focal length, centre
-    of the image, k1, k2, p1, p2, k3, aspect; in the axes before ``rig``'s world was chosen), the rig laid onto its own
+    of the image, c1, c2, p1, p2, c3, aspect; in the axes before ``rig``'s world was chosen), the rig laid onto its own
     camera centres; ``None`` where it is not determined.
     """
 

@@ -7,6 +7,7 @@
 pub mod bootstrap;
 pub mod bundle;
 pub mod epipolar;
+pub mod gather;
 pub mod identify;
 pub mod pose;
 pub mod refine;

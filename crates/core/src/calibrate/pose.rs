@@ -1,9 +1,9 @@
 //! Where the wand was in one frame, from calibrated views of it with wrong ones among them.
 
-use super::bundle::Pose;
+use super::bundle::{Bundle, POSE, Pose, Sighting};
 use super::wand::{Span, Wand};
 use crate::camera::Camera;
-use nalgebra::{Matrix3, SVD, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVD, SVector, Vector2, Vector3};
 
 /// One camera's view: the pixel of each marker, where it saw it.
 #[derive(Clone, Debug)]
@@ -105,6 +105,39 @@ pub fn fit(own: &[Vector3<f64>], world: &[Vector3<f64>], span: Span) -> Option<P
     // Singular values are sorted: the least certain direction takes the sign that makes a rotation.
     let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror)) * v_t;
     Some(Pose { rotation, position_m: world_middle - rotation * own_middle })
+}
+
+/// Steps of [`settle`].
+const STEPS: usize = 10;
+
+/// A pose adjusted to sightings of it by robust least squares (Cauchy's loss), cameras as they are.
+///
+/// `None` where they do not determine it.
+pub fn settle(bundle: &Bundle, from: &Pose, sightings: &[Sighting], noise_px: &[f64]) -> Option<Pose> {
+    let held = bundle.held_in_pose();
+    let mut pose = *from;
+    for _ in 0..STEPS {
+        let (mut normal, mut right) = (SMatrix::<f64, POSE, POSE>::zeros(), SVector::<f64, POSE>::zeros());
+        for s in sightings {
+            let marker = &bundle.wand.markers_m[s.marker];
+            let Some((pixel, by_point)) = bundle.cameras[s.camera].project_linear(&pose.place(marker)) else {
+                continue;
+            };
+            let mut by_pose = pose.derivatives(&by_point, marker);
+            held.iter().enumerate().filter(|h| *h.1).for_each(|(k, _)| by_pose.column_mut(k).fill(0.0));
+            let (off, variance) = (s.pixel - pixel, noise_px[s.camera].powi(2));
+            let weight = 1.0 / (variance + off.norm_squared() / 4.0);
+            normal += by_pose.transpose() * by_pose * weight;
+            right += by_pose.transpose() * off * weight;
+        }
+        held.iter().enumerate().filter(|h| *h.1).for_each(|(k, _)| normal[(k, k)] = 1.0);
+        let step = normal.cholesky()?.solve(&right);
+        pose = pose.moved(&step);
+        if step.norm() < 1e-7 {
+            break;
+        }
+    }
+    Some(pose)
 }
 
 #[cfg(test)]

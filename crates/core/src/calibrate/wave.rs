@@ -1,11 +1,12 @@
 //! From the raw dots of a wand wave to a calibrated rig: the whole chain.
 
 use super::bootstrap::{FirstRig, NoRig, Start, first_rig, sightings_of};
+use super::bundle::Bundle;
 use super::bundle::camera::{FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, free};
 use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
-use super::bundle::{Bundle, Pose, Sighting};
+use super::gather::{Gathered, Seen, gather};
 use super::identify::Pattern;
-use super::pose::{View, from_views};
+use super::pose::View;
 use super::shape;
 use super::still::still;
 use super::wand::{Span, Wand};
@@ -92,9 +93,21 @@ pub fn calibrate(
         bundle: rough,
     };
     settle_names(&wave, &mut views);
-    gather(&mut wave, &views, dots, ranges, &fixed, options);
+    let seen = Seen { dots, ranges, fixed: &fixed, views: &views };
+    let gathered = gather(&wave.bundle, &wave.missing, &wave.noise_px, &seen, options.most_poses);
+    wave.take_in(gathered, &views);
     finish(&mut wave, options);
     Ok(wave)
+}
+
+impl Wave {
+    fn take_in(&mut self, gathered: Gathered, views: &[Vec<View>]) {
+        (self.bundle.poses, self.bundle.sightings) = (gathered.poses, gathered.sightings);
+        (self.frame, self.dot) = (gathered.frame, gathered.dot);
+        for view in self.frame.iter().flat_map(|&f| &views[f]) {
+            self.whole_views_placed[view.camera] += 1;
+        }
+    }
 }
 
 fn freedom(start: &Start) -> Freedom {
@@ -196,91 +209,12 @@ fn settle_names(wave: &Wave, views: &mut [Vec<View>]) {
     super::bootstrap::rename_all(&rig, &wave.bundle.wand, views);
 }
 
-/// Places the wand in all frames and gives it every dot that lies where one of its markers must.
-fn gather(
-    wave: &mut Wave,
-    views: &[Vec<View>],
-    dots: &[Dot],
-    ranges: &[Range<usize>],
-    fixed: &[bool],
-    options: &Options,
-) {
-    let bundle = &wave.bundle;
-    let gate = |camera: usize| (12.0 * wave.noise_px[camera]).max(0.002 * bundle.cameras[camera].size_px[0]);
-    let widest = (0..bundle.cameras.len()).filter(|c| !wave.missing.contains(c)).map(gate).fold(0.0, f64::max);
-    let place = |views: &Vec<View>| -> Option<Pose> {
-        let joined: Vec<View> = views.iter().filter(|v| !wave.missing.contains(&v.camera)).cloned().collect();
-        let needed = bundle.wand.markers_m.len() * 3 / 2;
-        from_views(&bundle.cameras, &bundle.wand, &joined, widest).filter(|(_, n)| *n >= needed).map(|p| p.0)
-    };
-    let placed: Vec<Option<Pose>> = views.par_iter().map(place).collect();
-    let usable: Vec<usize> = (0..placed.len()).filter(|&f| placed[f].is_some()).collect();
-    let step = usable.len().div_ceil(options.most_poses).max(1);
-    let (mut poses, mut frame, mut sightings, mut dot) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut whole = vec![0; bundle.cameras.len()];
-    for &f in usable.iter().step_by(step) {
-        let Some(pose) = placed[f] else { continue };
-        let before = sightings.len();
-        for (i, s) in explained(wave, &pose, poses.len(), dots, &ranges[f], fixed, &gate) {
-            sightings.push(s);
-            dot.push(i);
-        }
-        if sightings.len() > before {
-            poses.push(pose);
-            frame.push(f);
-            views[f].iter().for_each(|v| whole[v.camera] += 1);
-        }
-    }
-    let bundle = &mut wave.bundle;
-    (bundle.poses, bundle.sightings) = (poses, sightings);
-    (wave.frame, wave.dot, wave.whole_views_placed) = (frame, dot, whole);
-}
-
-/// The dots of a frame that a pose explains: each marker its nearest dot in each camera, each dot one marker.
-fn explained(
-    wave: &Wave,
-    pose: &Pose,
-    index: usize,
-    dots: &[Dot],
-    range: &Range<usize>,
-    fixed: &[bool],
-    gate: &impl Fn(usize) -> f64,
-) -> Vec<(usize, Sighting)> {
-    let bundle = &wave.bundle;
-    let mut found: Vec<(f64, usize, Sighting)> = Vec::new();
-    for (camera, one) in bundle.cameras.iter().enumerate().filter(|(c, _)| !wave.missing.contains(c)) {
-        let own: Vec<usize> = range.clone().filter(|&i| dots[i].camera == camera && !fixed[i]).collect();
-        if own.is_empty() {
-            continue;
-        }
-        for (marker, at) in bundle.wand.markers_m.iter().enumerate() {
-            let Some(expected) = one.project(&pose.place(at)) else { continue };
-            for &i in &own {
-                let pixel = Vector2::from(dots[i].pixel);
-                let off = (pixel - expected).norm() / gate(camera);
-                if off < 1.0 {
-                    found.push((off, i, Sighting { pose: index, camera, marker, pixel, weight: 1.0 }));
-                }
-            }
-        }
-    }
-    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let mut taken: Vec<(usize, Sighting)> = Vec::new();
-    for (_, i, s) in found {
-        if taken.iter().all(|(j, t)| *j != i && (t.camera != s.camera || t.marker != s.marker)) {
-            taken.push((i, s));
-        }
-    }
-    taken.sort_by_key(|(_, s)| (s.camera, s.marker));
-    taken
-}
-
 /// Adjusts without the poses left out, judges by them, and adjusts with all.
 fn finish(wave: &mut Wave, options: &Options) {
     let every = options.left_out_every.max(2);
     let left_out = |pose: usize| pose % every == every - 1;
     for round in 0..4 {
-        if round == 2 {
+        if round >= 2 {
             shape::refine(&mut wave.bundle);
         }
         wave.noise_px = noise_px(&wave.bundle, |_| true);

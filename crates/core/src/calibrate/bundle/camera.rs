@@ -1,7 +1,10 @@
 //! What of a camera is adjusted: 15 parameters, each free or held, with the derivatives of a pixel by them.
 //!
-//! Order: rotation (3, rad, in camera axes), position (3, m), focal length (px), principal point (x, y, px), OpenCV's k1, k2,
-//! p1, p2, k3, and the ratio of the focal lengths.
+//! Order: rotation (3, rad, in camera axes), position (3, m), focal length (px), principal point (x, y, px), c1, c2, p1, p2,
+//! c3 of the lens, and the ratio of the focal lengths.
+//!
+//! The lens is OpenCV's with `radial = (1 + c2 r⁴ + c3 r⁶) / (1 − c1 r²)`, that is k2 = c2, k3 = c3, k4 = −c1. Near the middle
+//! it is `1 + c1 r²`, as the polynomial is; but a barrel (c1 < 0) does not fold over beyond what was seen, as polynomials do.
 
 use crate::camera::{Camera, Lens, lens};
 use nalgebra::{Matrix2x3, Rotation3, SMatrix, SVector, Vector2, Vector3};
@@ -16,11 +19,11 @@ pub const POSITION: std::ops::Range<usize> = 3..6;
 pub const FOCAL: usize = 6;
 /// Principal point.
 pub const PRINCIPAL: std::ops::Range<usize> = 7..9;
-/// k1 and k2.
+/// c1 and c2.
 pub const RADIAL: std::ops::Range<usize> = 9..11;
 /// p1, p2.
 pub const TANGENTIAL: std::ops::Range<usize> = 11..13;
-/// k3.
+/// c3.
 pub const SIXTH: usize = 13;
 /// Ratio of the focal lengths, y to x.
 pub const ASPECT: usize = 14;
@@ -68,10 +71,12 @@ pub fn project(camera: &Camera, point_in_world: &Vector3<f64>) -> Option<(Vector
         by.column_mut(ASPECT).copy_from(&Vector2::new(0.0, fx * distorted.y));
         let (x, y) = (at.x, at.y);
         let r2 = at.norm_squared();
-        let radial = Vector2::new(fx * x, fy * y);
-        by.column_mut(9).copy_from(&(radial * r2));
-        by.column_mut(10).copy_from(&(radial * (r2 * r2)));
-        by.column_mut(SIXTH).copy_from(&(radial * (r2 * r2 * r2)));
+        let denominator = 1.0 + r2 * (k[3] + r2 * (k[4] + r2 * k[5]));
+        let factor = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))) / denominator;
+        let outwards = Vector2::new(fx * x, fy * y) * (r2 / denominator);
+        by.column_mut(9).copy_from(&(outwards * factor));
+        by.column_mut(10).copy_from(&(outwards * r2));
+        by.column_mut(SIXTH).copy_from(&(outwards * (r2 * r2)));
         by.column_mut(11).copy_from(&Vector2::new(fx * 2.0 * x * y, fy * (r2 + 2.0 * y * y)));
         by.column_mut(12).copy_from(&Vector2::new(fx * (r2 + 2.0 * x * x), fy * 2.0 * x * y));
     }
@@ -91,7 +96,7 @@ pub fn moved(camera: &Camera, step: &SVector<f64, PARAMETERS>) -> Camera {
     if step.rows(9, 5).norm() > 0.0
         && let Some((mut k, mut p)) = coefficients(&camera.lens)
     {
-        k[0] += step[9];
+        k[3] -= step[9];
         k[1] += step[10];
         k[2] += step[SIXTH];
         p[0] += step[11];
@@ -115,7 +120,7 @@ mod tests {
             principal_px: [640.0, 500.0],
             camera_from_world: *Rotation3::from_euler_angles(1.8, 0.2, -0.4).matrix(),
             position_m: Vector3::new(0.3, -4.0, 1.5),
-            lens: Lens::BrownConrady { k: [-0.28, 0.11, -0.02, 0.0, 0.0, 0.0], p: [6e-4, -7e-4] },
+            lens: Lens::BrownConrady { k: [-0.02, 0.11, -0.02, 0.26, 0.0, 0.0], p: [6e-4, -7e-4] },
             mask: Mask::default(),
         };
         let point = camera.position_m + 3.0 * camera.ray_in_world(Vector2::new(0.21, -0.17));

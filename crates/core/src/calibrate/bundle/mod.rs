@@ -1,7 +1,8 @@
 //! Bundle adjustment of cameras and of the poses of one rigid object (a wand; a single marker is one too).
 //!
-//! Minimises `Σ w |pixel − project(camera, R p + t)|²`, w = 1/σ² times a robust factor, over cameras (pose, focal length, aspect, principal point,
-//! OpenCV's k1, k2, p1, p2, k3; each may be held) and object poses, by Levenberg–Marquardt. The normal equations
+//! Minimises `Σ w |pixel − project(camera, R p + t)|²`, w = 1/σ² times a robust factor, over cameras (pose, focal length,
+//! aspect, principal point, OpenCV's lens; each may be held, see [`camera`]) and object poses, by Levenberg–Marquardt. The
+//! normal equations
 //!
 //! ```text
 //! | U  W | |δcameras|   |a|        S = U − W V⁻¹ Wᵀ   (dense, 15 per camera)
@@ -20,7 +21,7 @@ pub mod robust;
 use crate::calibrate::wand::{Span, Wand};
 use crate::camera::Camera;
 use camera::{Freedom, PARAMETERS};
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Rotation3, SVector, Vector2, Vector3};
 use normal::Normal;
 
 /// Parameters of a pose: rotation (3), position (3).
@@ -41,7 +42,17 @@ impl Pose {
         self.rotation * marker_m + self.position_m
     }
 
-    fn moved(&self, step: &SVector<f64, POSE>) -> Self {
+    /// Derivatives of a marker's pixel by the pose, from those by the marker's place.
+    pub fn derivatives(&self, by_place: &Matrix2x3<f64>, marker_m: &Vector3<f64>) -> Matrix2x6<f64> {
+        let mut by_pose = Matrix2x6::zeros();
+        by_pose.fixed_columns_mut::<3>(0).copy_from(&(by_place * self.rotation * -marker_m.cross_matrix()));
+        by_pose.fixed_columns_mut::<3>(3).copy_from(by_place);
+        by_pose
+    }
+
+    /// The pose after a step: a turn in the object's axes, a shift in the world's.
+    #[must_use]
+    pub fn moved(&self, step: &SVector<f64, POSE>) -> Self {
         let turn = Rotation3::new(Vector3::new(step[0], step[1], step[2]));
         Self {
             rotation: self.rotation * turn.matrix(),
@@ -112,6 +123,16 @@ impl Bundle {
     fn squared(&self, s: &Sighting) -> f64 {
         let [width, height] = self.cameras[s.camera].size_px;
         self.residual(s).map_or(width * width + height * height, |r| r.norm_squared())
+    }
+
+    /// Measurements in use over what is left of them when the parameters are taken off: `n / (n − p)`.
+    ///
+    /// Residuals are smaller than errors by its root; the world's own motions are no parameters.
+    pub fn redundancy_factor(&self) -> f64 {
+        let measurements = 2.0 * self.sightings.iter().filter(|s| s.weight > 0.0).count() as f64;
+        let cameras = self.freedom.iter().flatten().filter(|f| **f).count();
+        let parameters = (cameras + self.wand.pose_freedom() * self.poses.len()).saturating_sub(6) as f64;
+        measurements / (measurements - parameters).max(1.0)
     }
 
     /// Which parameters of a pose are held: the turn of a line about itself, any turn of a point.

@@ -2,7 +2,7 @@
 
 use super::camera::{PARAMETERS, project};
 use super::{Bundle, POSE};
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix2x6, SMatrix, SVector};
+use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
 type CameraBlock = SMatrix<f64, PARAMETERS, PARAMETERS>;
 type PoseBlock = SMatrix<f64, POSE, POSE>;
@@ -30,6 +30,9 @@ pub struct Normal {
     shared: Vec<Shared>,
     held_in_pose: [bool; POSE],
 }
+
+/// Beyond this the digits of a pose's inverse are lost in rounding.
+const LARGEST_INFLATION: f64 = 1e9;
 
 /// Adds `column rowᵀ` to a matrix in column-major order: the inner loop of everything here.
 fn add_outer(matrix: &mut [f64], column: &[f64], row: &[f64]) {
@@ -78,9 +81,7 @@ impl Normal {
                 by_camera.column_mut(i).fill(0.0);
             }
         }
-        let mut by_pose = Matrix2x6::zeros();
-        by_pose.fixed_columns_mut::<3>(0).copy_from(&(by_point * pose.rotation * -marker.cross_matrix()));
-        by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
+        let mut by_pose = pose.derivatives(&by_point, marker);
         for (i, held) in self.held_in_pose.iter().enumerate() {
             if *held {
                 by_pose.column_mut(i).fill(0.0);
@@ -178,10 +179,16 @@ impl Normal {
         (matrix, DVector::from_iterator(n * PARAMETERS, right.iter().flat_map(|r| r.iter().copied())))
     }
 
-    /// The reduced matrix without damping; poses that no view fixes are left out.
+    /// The reduced matrix without damping; poses that the views do not fix are left out.
     pub fn information(&self) -> DMatrix<f64> {
-        let inverses: Vec<PoseBlock> =
-            self.poses.iter().map(|p| self.inverse(&p.block, 0.0).unwrap_or_else(PoseBlock::zeros)).collect();
+        let of = |p: &OfPose| self.inverse(&p.block, 0.0).filter(|i| is_fixed(&p.block, i));
+        let inverses: Vec<PoseBlock> = self.poses.iter().map(|p| of(p).unwrap_or_else(PoseBlock::zeros)).collect();
         self.reduced(&inverses, 0.0).0
     }
+}
+
+/// Whether a block's inverse can be trusted: no parameter's variance grows beyond all digits because the others are
+/// unknown too (the variance inflation factor of regression).
+fn is_fixed(block: &PoseBlock, inverse: &PoseBlock) -> bool {
+    (0..POSE).all(|k| block[(k, k)] * inverse[(k, k)] < LARGEST_INFLATION)
 }

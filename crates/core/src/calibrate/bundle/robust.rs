@@ -29,7 +29,7 @@ pub fn noise_px(bundle: &Bundle, counts: impl Fn(usize) -> bool) -> Vec<f64> {
     own.into_iter().map(|o| o.unwrap_or(common)).collect()
 }
 
-/// Noise (px per axis) of each camera as the root mean square of the sightings in use; never below the median's.
+/// Noise (px per axis) of each camera from the squares of the sightings in use, √(RSS/(n − p)); never below the median's.
 ///
 /// Dots of a fast wand are blurred and err more than most: clipping at the median's noise would lose them.
 pub fn noise_of_used_px(bundle: &Bundle) -> Vec<f64> {
@@ -41,7 +41,8 @@ pub fn noise_of_used_px(bundle: &Bundle) -> Vec<f64> {
         }
     }
     let typical = noise_px(bundle, |i| bundle.sightings[i].weight > 0.0);
-    let rms = |(sum, n): &(f64, usize)| if *n > 0 { (sum / *n as f64).sqrt() } else { 0.0 };
+    let lost = bundle.redundancy_factor();
+    let rms = |(sum, n): &(f64, usize)| if *n > 0 { (lost * sum / *n as f64).sqrt() } else { 0.0 };
     sums.iter().zip(typical).map(|(own, typical)| rms(own).max(typical)).collect()
 }
 
