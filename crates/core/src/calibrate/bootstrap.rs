@@ -59,6 +59,8 @@ const LOOKED_AT: usize = 120;
 /// Adjustments of a rig that grows: rounds of weighing, steps of each. The bundle that follows does the rest.
 const ROUNDS: usize = 3;
 const STEPS: usize = 3;
+/// A rig that has grown by this factor is adjusted: the cost of all adjustments together stays that of the last few.
+const GROWTH: f64 = 1.3;
 /// Without lenses and principal points, projections are off by up to this part of the image's width.
 const ROUGH: f64 = 0.015;
 
@@ -79,10 +81,16 @@ pub fn first_rig(start: &Start, wand: &Wand, frames: &mut [Vec<View>]) -> Result
     }
     let (_, mut rig) = best.ok_or(NoRig::NoGeometry)?;
     rename_all(&rig, wand, frames);
-    while !rig.missing.is_empty() {
-        if !add_camera(start, wand, frames, &mut rig) {
-            break;
+    let joined = |rig: &FirstRig| rig.cameras.len() - rig.missing.len();
+    let mut adjusted = joined(&rig);
+    while add_camera(start, wand, frames, &mut rig) {
+        if joined(&rig) as f64 >= GROWTH * adjusted as f64 {
+            adjust(start, wand, frames, &mut rig);
+            adjusted = joined(&rig);
         }
+    }
+    if joined(&rig) > adjusted {
+        adjust(start, wand, frames, &mut rig);
     }
     Ok(rig)
 }
@@ -391,7 +399,6 @@ fn add_camera(start: &Start, wand: &Wand, frames: &mut [Vec<View>], rig: &mut Fi
             rig.missing.retain(|c| *c != camera);
             rename_all(rig, wand, frames);
             place_all(rig, wand, frames);
-            adjust(start, wand, frames, rig);
             return true;
         }
     }

@@ -224,7 +224,7 @@ fn finish(wave: &mut Wave, options: &Options) {
             weigh_hard(&mut wave.bundle, &wave.noise_px);
         }
         drop_left_out(&mut wave.bundle, &left_out);
-        wave.bundle.adjust(if round < 2 { 3 } else { 10 });
+        wave.bundle.adjust(if round < 2 { 3 } else { 5 });
     }
     judge(wave, &left_out);
     for _ in 0..3 {
@@ -238,7 +238,7 @@ fn drop_left_out(bundle: &mut Bundle, left_out: &impl Fn(usize) -> bool) {
     bundle.sightings.iter_mut().filter(|s| left_out(s.pose)).for_each(|s| s.weight = 0.0);
 }
 
-/// Residuals and lengths on the poses left out, cameras as they are.
+/// Residuals and lengths on the poses left out, cameras as they are; those poses are adjusted to them.
 fn judge(wave: &mut Wave, left_out: &impl Fn(usize) -> bool) {
     let noise = noise_px(&wave.bundle, |i| wave.bundle.sightings[i].weight > 0.0);
     let mut check = wave.bundle.clone();
@@ -255,6 +255,7 @@ fn judge(wave: &mut Wave, left_out: &impl Fn(usize) -> bool) {
     wave.left_out_px =
         check.sightings.iter().map(|s| (s.camera, check.residual(s).map_or(f64::INFINITY, |r| r.norm()))).collect();
     wave.left_out_lengths_m = lengths(&check);
+    wave.bundle.poses = check.poses;
 }
 
 /// Measured and true distances of markers that are placed each on its own from the sightings of positive weight.

@@ -147,7 +147,7 @@ impl Bundle {
 
     /// Levenberg–Marquardt (Moré 1978's diagonal scaling) for at most `iterations` steps, weights as they are.
     pub fn adjust(&mut self, iterations: usize) -> Ended {
-        let mut damping = 1e-4;
+        let mut damping = 1e-7;
         let mut cost = self.cost();
         let mut ended = Ended { iterations: 0, cost, converged: false };
         while ended.iterations < iterations {

@@ -34,11 +34,32 @@ pub struct Normal {
 /// Beyond this the digits of a pose's inverse are lost in rounding.
 const LARGEST_INFLATION: f64 = 1e9;
 
-/// Adds `column rowᵀ` to a matrix in column-major order: the inner loop of everything here.
-fn add_outer(matrix: &mut [f64], column: &[f64], row: &[f64]) {
-    for (target, factor) in matrix.chunks_exact_mut(column.len()).zip(row) {
-        for (entry, value) in target.iter_mut().zip(column) {
-            *entry += value * factor;
+/// Adds `Aᵀ W B` of two rows `A`, `B` (matrix in column-major order): the inner loop of the linearisation.
+fn add_product<const R: usize, const C: usize>(
+    target: &mut SMatrix<f64, R, C>,
+    left: &SMatrix<f64, 2, R>,
+    right: &SMatrix<f64, 2, C>,
+) {
+    for c in 0..C {
+        let (x, y) = (right[(0, c)], right[(1, c)]);
+        for r in 0..R {
+            target[(r, c)] += left[(0, r)] * x + left[(1, r)] * y;
+        }
+    }
+}
+
+/// Subtracts `gain crossᵀ`, column by column with the sums in registers: the inner loop of the reduction.
+fn subtract_product(target: &mut CameraBlock, gain: &Cross, cross: &Cross) {
+    for c in 0..PARAMETERS {
+        let mut sum = [0.0; PARAMETERS];
+        for k in 0..POSE {
+            let factor = cross[(c, k)];
+            for r in 0..PARAMETERS {
+                sum[r] += gain[(r, k)] * factor;
+            }
+        }
+        for r in 0..PARAMETERS {
+            target[(r, c)] -= sum[r];
         }
     }
 }
@@ -92,15 +113,12 @@ impl Normal {
             self.shared.push(Shared { camera: s.camera, cross: Cross::zeros() });
         }
         let Some(shared) = self.shared.last_mut() else { return };
-        for axis in 0..2 {
-            let (camera_row, pose_row) = (by_camera.row(axis).transpose(), by_pose.row(axis).transpose());
-            let (weighted_camera, weighted_pose) = (camera_row * s.weight, pose_row * s.weight);
-            add_outer(self.cameras[s.camera].as_mut_slice(), weighted_camera.as_slice(), camera_row.as_slice());
-            add_outer(own.block.as_mut_slice(), weighted_pose.as_slice(), pose_row.as_slice());
-            add_outer(shared.cross.as_mut_slice(), weighted_camera.as_slice(), pose_row.as_slice());
-            self.right[s.camera] += weighted_camera * residual[axis];
-            own.right += weighted_pose * residual[axis];
-        }
+        let (weighted_camera, weighted_pose) = (by_camera * s.weight, by_pose * s.weight);
+        add_product(&mut self.cameras[s.camera], &weighted_camera, &by_camera);
+        add_product(&mut own.block, &weighted_pose, &by_pose);
+        add_product(&mut shared.cross, &weighted_camera, &by_pose);
+        self.right[s.camera] += weighted_camera.transpose() * residual;
+        own.right += weighted_pose.transpose() * residual;
     }
 
     /// The step of cameras and poses for a damping relative to the diagonal; `None` where the equations are singular.
@@ -151,11 +169,7 @@ impl Normal {
                 right[a.camera] -= gain * p.right;
                 for b in own.iter().filter(|b| b.camera <= a.camera) {
                     let block = &mut blocks[a.camera * (a.camera + 1) / 2 + b.camera];
-                    for k in 0..POSE {
-                        let (column, row) = (gain.column(k), b.cross.column(k));
-                        let minus = row.map(|v| -v);
-                        add_outer(block.as_mut_slice(), column.as_slice(), minus.as_slice());
-                    }
+                    subtract_product(block, &gain, &b.cross);
                 }
             }
         }
