@@ -1,108 +1,98 @@
-"""Cameras that were moved while a take ran: from one frame on, all their dots lie beside where the others say."""
+"""Cameras that were moved while a take ran: what the engine's watch found, and the rig of each frame."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
-from markerloom.explain import TrackedTake
-from markerloom.points import MEASURED
-
-Array = NDArray[np.floating[Any]]
-Ints = NDArray[np.int64]
-
-LOOKED_AT = 120
-"""Frames looked at, evenly spread; where something changed, every frame is."""
-REACH = 0.03
-"""A bumped camera's dots are looked for within this part of the image's diagonal."""
-FEWEST = 4
-"""Fewer markers in a frame say nothing about a camera."""
-BESIDE = 6
-"""Looks on each side of a step that must agree on it."""
-STEP_NOISES = 2.0
-STEP_SPREADS = 5.0
-"""A step is told of when it is this many times the dots' noise, and the spread of the looks around it."""
+from markerloom.rig import Camera, Rig
 
 
-def bumped_cameras(take: TrackedTake) -> list[dict[str, Any]]:
-    """Cameras that were moved: ``camera``, ``frame`` of the first look after, ``shift_px`` (x, y) of the dots there."""
-    if take.seen is None:
-        return []
-    frames = take.seen.dots.frames
-    looks = frames[:: max(1, len(frames) // LOOKED_AT)]
-    found = []
-    for camera in range(len(take.seen.rig)):
-        series = _offsets(take, camera, looks)
-        step = _largest_step(series[1], STEP_NOISES * float(np.median(take.seen.noise_px)))
-        if step is not None:
-            first, last = series[0][max(step - 3, 0)], series[0][min(step + 2, len(series[0]) - 1)]
-            between = frames[(frames >= first) & (frames <= last)]
-            frame = _where(take, camera, between, series[1][:step], series[1][step:])
-            before, after = series[1][step - BESIDE : step], series[1][step : step + BESIDE]
-            shift = np.median(after, axis=0) - np.median(before, axis=0)
-            name = take.seen.rig.cameras[camera].id
-            found.append({"camera": name, "frame": frame, "shift_px": [float(v) for v in shift]})
-    return found
+@dataclass(frozen=True)
+class Move:
+    """From ``frame`` on, camera ``camera`` (index) stands as ``now`` says; it was found out in frame ``found``.
+
+    ``shift_px``: (x, y) by which its dots lay beside their places. ``dots``: how many tell where it stands now.
+    """
+
+    frame: int
+    found: int
+    camera: int
+    now: Camera
+    shift_px: tuple[float, float]
+    dots: int
 
 
-def _offsets(take: TrackedTake, camera: int, frames: Ints) -> tuple[Ints, Array]:
-    """Frames in which enough markers tell, and the common offset (px) of the camera's dots from their places there."""
-    if take.seen is None:
-        return np.zeros(0, np.int64), np.zeros((0, 2))
-    rig, dots = take.seen.rig, take.seen.dots
-    reach_px = REACH * float(np.hypot(*rig.cameras[camera].size_px))
-    told, offsets = [], []
-    for frame in frames.tolist():
-        index = int(np.searchsorted(dots.frames, frame))
-        low, high = int(dots.starts[index]), int(dots.starts[index + 1])
-        own = np.arange(low, high)[dots.camera[low:high] == camera]
-        rows = np.arange(*np.searchsorted(take.frame, [frame, frame + 1]))
-        rows = rows[(take.kind[rows] == MEASURED) & (take.rays[rows] >= 3)]
-        if len(own) < FEWEST or len(rows) < FEWEST:
-            continue
-        expected = np.nan_to_num(rig.project(camera, take.xyz_mm[rows] / 1000.0), nan=-1e9)
-        shift = _common_shift(dots.pixel[own], expected, reach_px)
-        if shift is not None:
-            told.append(frame)
-            offsets.append(shift)
-    return np.array(told, np.int64), np.array(offsets, float).reshape(-1, 2)
+@dataclass(frozen=True)
+class Moves:
+    """A rig at the first frame of a take, and the moves of its cameras in order of time."""
+
+    rig: Rig
+    moves: tuple[Move, ...] = ()
+
+    def rig_at(self, frame: int) -> Rig:
+        """The rig as it stood in a frame."""
+        cameras = list(self.rig.cameras)
+        for move in self.moves:
+            if move.frame <= frame:
+                cameras[move.camera] = move.now
+        return replace(self.rig, cameras=tuple(cameras))
+
+    def parts(self) -> list[tuple[float, float, Rig]]:
+        """First frame, one past the last, and the rig, for each part of a take in which no camera moves."""
+        bounds = [-np.inf, *sorted({move.frame for move in self.moves}), np.inf]
+        return [(a, b, self.rig if a == -np.inf else self.rig_at(int(a))) for a, b in pairwise(bounds)]
+
+    def described(self) -> list[dict[str, Any]]:
+        """For the report: ``camera``, ``frame``, ``found``, ``shift_px``, ``moved_mm``, ``turned_deg``, ``dots``."""
+        rows = []
+        for move in self.moves:
+            before = self.rig_at(move.frame - 1).cameras[move.camera]
+            shift_mm, turn_deg = between(before, move.now)
+            rows.append(
+                {
+                    "camera": move.now.id,
+                    "frame": move.frame,
+                    "found": move.found,
+                    "shift_px": list(move.shift_px),
+                    "moved_mm": shift_mm,
+                    "turned_deg": turn_deg,
+                    "dots": move.dots,
+                }
+            )
+        return rows
+
+    def planned(self) -> list[tuple[int, int, dict[str, Any]]]:
+        """For the engine: frame, index and description of each."""
+        return [(move.frame, move.camera, move.now._described()) for move in self.moves]
 
 
-def _common_shift(pixels: Array, expected: Array, reach_px: float) -> Array | None:
-    """The offset on which most pairs of dot and expected place agree: every pair proposes its own."""
-    all_offsets = pixels[None, :, :] - expected[:, None, :]
-    near = np.linalg.norm(all_offsets, axis=2) < reach_px
-    proposals = all_offsets[near]
-    if len(proposals) < FEWEST:
-        return None
-    width = max(reach_px / 40.0, 1.0)
-    votes = KDTree(proposals).query_ball_point(proposals, width, return_length=True)
-    best = int(votes.argmax())
-    if votes[best] < FEWEST:
-        return None
-    agree = np.linalg.norm(proposals - proposals[best], axis=1) < width
-    return np.median(proposals[agree], axis=0)
+def found_moves(rig: Rig, found: list[dict[str, Any]]) -> Moves:
+    """Moves as the engine's watch tells of them: of one that it tells of again, the last and best word."""
+    last: dict[tuple[int, int], Move] = {}
+    for one in found:
+        before = rig.cameras[one["camera"]]
+        now = replace(before, rotation=np.array(one["rotation"]), position_m=np.array(one["position_m"]))
+        move = Move(one["frame"], one["found"], one["camera"], now, tuple(one["shift_px"]), one["dots"])
+        last[move.frame, move.camera] = move
+    return Moves(rig, tuple(last[key] for key in sorted(last)))
 
 
-def _largest_step(offsets: Array, least_px: float) -> int | None:
-    """Index of the look from which on the offset is another one; ``None`` if it never changes at once."""
-    best, at = 0.0, None
-    for k in range(BESIDE, len(offsets) - BESIDE + 1):
-        before, after = offsets[k - BESIDE : k], offsets[k : k + BESIDE]
-        step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
-        spread = float(np.median(np.abs(before - np.median(before, axis=0))))
-        spread = max(spread, float(np.median(np.abs(after - np.median(after, axis=0)))))
-        if step > max(least_px, STEP_SPREADS * spread, best):
-            best, at = step, k
-    return at
+def between(before: Camera, after: Camera) -> tuple[float, float]:
+    """How far apart two poses of a camera are: mm, and degrees."""
+    cosine = (np.trace(before.rotation.T @ after.rotation) - 1.0) / 2.0
+    shift_mm = 1000.0 * float(np.linalg.norm(before.position_m - after.position_m))
+    return shift_mm, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _where(take: TrackedTake, camera: int, frames: Ints, before: Array, after: Array) -> int:
-    """The first frame whose offset is nearer to what follows than to what went before."""
-    told, offsets = _offsets(take, camera, frames)
-    old, new = np.median(before[-BESIDE:], axis=0), np.median(after[:BESIDE], axis=0)
-    later = np.linalg.norm(offsets - new, axis=1) < np.linalg.norm(offsets - old, axis=1)
-    return int(told[int(later.argmax())]) if later.any() else int(frames[-1])
+def warning(move: dict[str, Any], *, healed: bool) -> str:
+    """A line about a move in a report."""
+    x, y = move["shift_px"]
+    what = "its new pose is used from there on" if healed else "calibrate it anew, or track with --refine-calibration"
+    return (
+        f"camera {move['camera']} was moved at frame {move['frame']} by {move['moved_mm']:.1f} mm and "
+        f"{move['turned_deg']:.2f}° (its dots by {x:+.2f}, {y:+.2f} px): {what}"
+    )

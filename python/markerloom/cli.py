@@ -224,6 +224,12 @@ def track(
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the input has none.")] = None,
     noise_px: Annotated[float | None, typer.Option(help="Noise of the dots, where it is known.")] = None,
     calibration_units: Units = "m",
+    refine_calibration: Annotated[
+        bool, typer.Option("--refine-calibration", help="Adjust the cameras to the take; solve knocked ones anew.")
+    ] = False,
+    calibration_out: Annotated[
+        Path | None, typer.Option("--calibration-out", help="Write the refined cameras, as they stand at the end.")
+    ] = None,
     page: Annotated[
         Path | None, typer.Option("--page", help="Write a page with pictures.", metavar="FILE.html")
     ] = None,
@@ -239,8 +245,14 @@ def track(
     """
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     wanted = frame_range(frames)
+    if calibration_out is not None and (not refine_calibration or formats.ending(calibration_out) != ".toml"):
+        raise typer.BadParameter("--calibration-out FILE.toml belongs to --refine-calibration")
     if calibration is None:
-        dots_only = {"--assignments": assignments, "--noise-px": noise_px}
+        dots_only = {
+            "--assignments": assignments,
+            "--noise-px": noise_px,
+            "--refine-calibration": refine_calibration or None,
+        }
         for option in (o for o, value in dots_only.items() if value is not None):
             raise typer.BadParameter(f"{option} is for dots, which need --calibration")
         _check_points_ending(output)
@@ -250,9 +262,18 @@ def track(
         source, rig = _take_and_rig(take, calibration, calibration_units, rate_hz, output)
     with progress_bar("track", quiet) as progress:
         points = run_track(
-            source, rig, method=method, causal=causal, frames=wanted, noise_px=noise_px, progress=progress
+            source,
+            rig,
+            method=method,
+            causal=causal,
+            frames=wanted,
+            noise_px=noise_px,
+            refine_calibration=refine_calibration,
+            progress=progress,
         )
     formats.write_points(points, output)
+    if calibration_out is not None and isinstance(points, TrackedTake) and points.seen is not None:
+        formats.write_calibration(points.seen.cameras.rig_at(int(points.seen.dots.frames[-1])), calibration_out)
     if assignments is not None:
         table_file.write(points.assignments, assignments)
     if page is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from markerloom.bumped import Moves
 from markerloom.errors import InputError
 from markerloom.observations import MatchedDots
 from markerloom.points import KINDS, MEASURED
@@ -38,7 +39,7 @@ CAUSES = {
 class Seen:
     """The dots of a take, and which trajectory has each of them (−1: none)."""
 
-    rig: Rig
+    cameras: Moves
     dots: MatchedDots
     track: Ints
     noise_px: tuple[float, ...]
@@ -122,7 +123,8 @@ def explain(take: Reconstruction, track: int, frame: int) -> Explanation:
         raise InputError(f"frame {frame} is not in the take ({seen.dots.frames[0]} to {seen.dots.frames[-1]})")
     kind, place_mm, sigma_mm = _place(take, rows, frame)
     low, high = int(seen.dots.starts[index]), int(seen.dots.starts[index + 1])
-    views = [_view(seen, i, track, (low, high), place_mm, sigma_mm) for i in range(len(seen.rig))]
+    rig = seen.cameras.rig_at(frame)
+    views = [_view(seen, rig, i, track, (low, high), place_mm, sigma_mm) for i in range(len(rig))]
     return Explanation(track, frame, kind, place_mm, sigma_mm, tuple(views))
 
 
@@ -140,10 +142,12 @@ def _place(take: Reconstruction, rows: Ints, frame: int) -> tuple[str, Array, fl
     return "absent", first + share * (last - first), sigma_mm
 
 
-def _view(seen: Seen, camera: int, track: int, rows: tuple[int, int], place_mm: Array, sigma_mm: float) -> CameraView:
-    one = seen.rig.cameras[camera]
+def _view(
+    seen: Seen, rig: Rig, camera: int, track: int, rows: tuple[int, int], place_mm: Array, sigma_mm: float
+) -> CameraView:
+    one = rig.cameras[camera]
     steps_m = np.vstack([np.zeros(3), 1e-3 * np.eye(3)])
-    pixels = seen.rig.project(camera, place_mm / 1000.0 + steps_m)
+    pixels = rig.project(camera, place_mm / 1000.0 + steps_m)
     expected = pixels[0]
     spread_px = np.linalg.norm(pixels[1:] - expected) * sigma_mm / np.sqrt(6.0)
     allowed_px = float(GATE * np.hypot(seen.noise_px[camera], spread_px))

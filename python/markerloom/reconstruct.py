@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from markerloom import _core
+from markerloom.bumped import Moves
 from markerloom.errors import InputError
 from markerloom.observations import DotArrays, MatchedDots, Observations, match
 from markerloom.points import Points
@@ -71,7 +72,7 @@ def reconstruct(
     stages["correspond"] = sum(ms_per_frame) / 1000
     solved = _joined(parts)
     report = _report(solved, dots, rig, model.describe(), method, notes)
-    report["residual_px_by_camera"] = residual_by_camera(solved, dots, rig)
+    report["residual_px_by_camera"] = residual_by_camera(solved, dots, Moves(rig))
     report["timing"] = timing(time.perf_counter() - clock, ms_per_frame, stages)
     return as_points(solved, dots, rig, observations, report)
 
@@ -181,16 +182,18 @@ def _report(
     }
 
 
-def residual_by_camera(solved: dict[str, Any], dots: MatchedDots, rig: Rig) -> dict[str, float]:
+def residual_by_camera(solved: dict[str, Any], dots: MatchedDots, cameras: Moves) -> dict[str, float]:
     """Root mean square distance of dots and reprojections by camera (px)."""
     owner = np.repeat(np.arange(len(solved["frame"])), solved["sizes"])
     camera, pixel = dots.camera[solved["dots"]], dots.pixel[solved["dots"]]
-    result = {}
-    for i, one in enumerate(rig.cameras):
-        rows = camera == i
-        error = rig.project(i, solved["point_m"][owner[rows]]) - pixel[rows]
-        result[one.id] = statistics(np.linalg.norm(error, axis=1))["rms"]
-    return result
+    frame = dots.frames[solved["frame"]][owner]
+    error = np.zeros_like(pixel)
+    for first, last, rig in cameras.parts():
+        for i in range(len(rig)):
+            rows = (camera == i) & (first <= frame) & (frame < last)
+            error[rows] = rig.project(i, solved["point_m"][owner[rows]]) - pixel[rows]
+    length = np.linalg.norm(error, axis=1)
+    return {one.id: statistics(length[camera == i])["rms"] for i, one in enumerate(cameras.rig.cameras)}
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

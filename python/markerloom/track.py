@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from markerloom import _core
-from markerloom.bumped import bumped_cameras
+from markerloom.bumped import Moves, found_moves, warning
+from markerloom.calibrate.refine import refine_rig
 from markerloom.errors import InputError
 from markerloom.explain import Seen, TrackedTake, gaps
 from markerloom.observations import DotArrays, MatchedDots, Observations, match
@@ -58,14 +60,22 @@ class Tracker:
 
     What ``push`` returns depends on the frames so far and on nothing else: ``track(..., causal=True)`` gives the same
     to the bit. Noise and volume are learned from the frames as they come; ``noise_px`` states the noise where it is
-    known. Raises ``InputError`` for a rate that is none and for a rig that cannot give a depth.
+    known. ``refine_calibration``: a camera that is knocked is found, and its new pose used from the next frame on; what
+    was found is in ``moves``. Raises ``InputError`` for a rate that is none and for a rig that cannot give a depth.
     """
 
-    def __init__(self, rig: Rig, *, rate_hz: float, noise_px: float | None = None) -> None:
+    def __init__(
+        self, rig: Rig, *, rate_hz: float, noise_px: float | None = None, refine_calibration: bool = False
+    ) -> None:
         """Prepare for the cameras of ``rig``."""
         self._rig = rig
         self._index = {camera.id: i for i, camera in enumerate(rig.cameras)}
-        self._core = _core.Tracker(rig.core, None, rate_hz, noise_px)
+        self._core = _core.Tracker(rig.core, None, rate_hz, noise_px, heal=refine_calibration)
+
+    @property
+    def moves(self) -> Moves:
+        """Cameras that were moved so far; ``moves.rig_at(frame)`` is the rig as it stood in a frame."""
+        return found_moves(self._rig, self._core.moved())
 
     def push(
         self, dots: Mapping[str, ArrayLike], frame: int | None = None, time_s: float | None = None
@@ -128,6 +138,7 @@ def track(
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
     noise_px: float | None = None,
+    refine_calibration: bool = False,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Follow every marker of a take through time: from dots and their ``rig``, or from anonymous or broken points.
@@ -136,7 +147,9 @@ def track(
     system of Lee et al. 2000 as written (causal by nature), to compare with. ``causal``: exactly what a live user would
     have seen (see ``Tracker``); otherwise the whole take decides about identities, and gaps are carried from both ends.
     ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
-    ``progress(done, total)`` is called now and then.
+    ``refine_calibration``: the rig is first adjusted to the take's own markers (see ``refine_rig``), and a camera that
+    was moved while the take ran is solved anew from the others; with ``causal``, only the latter, as a live user would
+    have had it. Without it, cameras that were moved are only told of. ``progress(done, total)`` is called now and then.
 
     Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
     when the cameras cannot give a depth.
@@ -149,41 +162,93 @@ def track(
         raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
     observations = take if frames is None else take.select(*frames)
     observations = replace(observations, rate_hz=_rate(observations, rate_hz))
-    clock = time.perf_counter()
-    stages = {}
+    if method == "paper" and refine_calibration:
+        raise InputError("the method of the paper takes the calibration as it is: leave refine_calibration out")
     if causal and method == "default":
         dots = _as_pushed(observations, rig)
         notes = list(dots.warnings)
-        tracker = _core.Tracker(rig.core, None, observations.rate_hz or 0.0, noise_px)
     else:
         rig, dots, notes = usable_dots(observations, rig)
-        model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
-        tracker = _core.Tracker(rig.core, model, observations.rate_hz or 0.0, None, method == "paper")
-    stages["estimate"] = time.perf_counter() - clock
-    _record(tracker, dots, _times_s(observations, dots), progress)
-    stages["track"] = time.perf_counter() - clock - stages["estimate"]
-    solved = tracker.recorded(causal)
-    stages["repair"] = time.perf_counter() - clock - stages["estimate"] - stages["track"]
-    solved["sizes"] = np.diff(solved.pop("dot_starts"))
-    report = _report(solved, dots, rig, tracker, notes, causal, method)
-    owner = np.full(len(dots.camera), -1, np.int64)
-    owner[solved["dots"]] = np.repeat(solved["track"], solved["sizes"])
-    seen = Seen(rig, dots, owner, tuple(report["noise_px"].values()))
-    tracked = TrackedTake.with_dots(as_points(solved, dots, rig, observations, report), seen)
-    report["gaps"] = gaps(tracked)
-    report["bumped_cameras"] = bumped_cameras(tracked)
-    report["warnings"] += [_bump_warning(bump) for bump in report["bumped_cameras"]]
-    stages["explain"] = time.perf_counter() - clock - sum(stages.values())
-    report["timing"] = timing(time.perf_counter() - clock, tracker.frame_ms(), stages)
-    return tracked
+    run = _Run(observations, dots, notes, method, causal, noise_px, progress)
+    if not refine_calibration or causal:
+        return run.of(Moves(rig), heal=refine_calibration)
+    rig, refined = _refined(observations, run.moves(Moves(rig)))
+    final = run.of(run.moves(Moves(rig)))
+    final.report["refined"] = refined
+    return final
 
 
-def _bump_warning(bump: dict[str, Any]) -> str:
-    x, y = bump["shift_px"]
-    return (
-        f"camera {bump['camera']} was moved at frame {bump['frame']}: from there on its dots lie "
-        f"({x:+.2f}, {y:+.2f}) px beside where the other cameras say; calibrate it anew"
-    )
+@dataclass(frozen=True)
+class _Run:
+    """Tracks the same dots, once or more often."""
+
+    observations: Observations
+    dots: MatchedDots
+    notes: list[str]
+    method: str
+    causal: bool
+    noise_px: float | None
+    progress: Progress | None
+
+    def _recorded(self, known: Moves, heal: bool, stages: dict[str, float]) -> _core.Tracker:
+        """A tracker that has seen the whole take."""
+        clock = time.perf_counter()
+        dots, rig, rate_hz = self.dots, known.rig, self.observations.rate_hz or 0.0
+        if self.causal and self.method == "default":
+            tracker = _core.Tracker(rig.core, None, rate_hz, self.noise_px, heal=heal)
+        else:
+            model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), self.noise_px)
+            paper = self.method == "paper"
+            tracker = _core.Tracker(rig.core, model, rate_hz, None, paper, planned=known.planned())
+        stages["estimate"] = time.perf_counter() - clock
+        _record(tracker, dots, _times_s(self.observations, dots), self.progress)
+        stages["track"] = time.perf_counter() - clock - stages["estimate"]
+        return tracker
+
+    def moves(self, known: Moves) -> Moves:
+        """Cameras that are found to move."""
+        return found_moves(known.rig, self._recorded(known, False, {}).moved())
+
+    def of(self, known: Moves, *, heal: bool = False) -> TrackedTake:
+        """The take with cameras whose moves are known, or are found and healed on the way."""
+        clock, stages = time.perf_counter(), {}
+        tracker = self._recorded(known, heal, stages)
+        solved = tracker.recorded(self.causal)
+        stages["repair"] = time.perf_counter() - clock - sum(stages.values())
+        solved["sizes"] = np.diff(solved.pop("dot_starts"))
+        found = found_moves(known.rig, tracker.moved())
+        in_use = found if heal else known
+        report = _report(solved, self.dots, in_use, tracker, list(self.notes), self.causal, self.method)
+        owner = np.full(len(self.dots.camera), -1, np.int64)
+        owner[solved["dots"]] = np.repeat(solved["track"], solved["sizes"])
+        seen = Seen(in_use, self.dots, owner, tuple(report["noise_px"].values()))
+        points = as_points(solved, self.dots, known.rig, self.observations, report)
+        tracked = TrackedTake.with_dots(points, seen)
+        report["gaps"] = gaps(tracked)
+        report["bumped_cameras"] = (in_use if in_use.moves else found).described()
+        healed = bool(in_use.moves)
+        report["warnings"] += [warning(move, healed=healed) for move in report["bumped_cameras"]]
+        stages["explain"] = time.perf_counter() - clock - sum(stages.values())
+        report["timing"] = timing(time.perf_counter() - clock, tracker.frame_ms(), stages)
+        return tracked
+
+
+def _refined(observations: Observations, found: Moves) -> tuple[Rig, dict[str, Any]]:
+    """The rig at the take's first frame adjusted to the longest part in which no camera moves, and a report of that.
+
+    Cameras that moved before that part stay as they were at first.
+    """
+    bounds = [int(observations.frames[0]), *(move.frame for move in found.moves), int(observations.frames[-1]) + 1]
+    first, last = max(pairwise(bounds), key=lambda part: part[1] - part[0])
+    try:
+        refined, report = refine_rig(found.rig_at(first), observations.select(first, last))
+    except InputError as error:
+        return found.rig, {"verdict": "refused", "reasons": [str(error)]}
+    if report["verdict"] != "ok":
+        return found.rig, report
+    moved = {move.camera for move in found.moves if move.frame <= first}
+    cameras = [found.rig.cameras[i] if i in moved else c for i, c in enumerate(refined.cameras)]
+    return replace(found.rig, cameras=tuple(cameras)), report
 
 
 def _rate(observations: Observations, rate_hz: float | None) -> float:
@@ -240,7 +305,7 @@ def _record(tracker: _core.Tracker, dots: MatchedDots, times_s: list[float | Non
 def _report(
     solved: dict[str, Any],
     dots: MatchedDots,
-    rig: Rig,
+    cameras: Moves,
     tracker: _core.Tracker,
     notes: list[str],
     causal: bool,
@@ -260,15 +325,15 @@ def _report(
         "warnings": notes,
         "method": method,
         "causal": causal or method == "paper",
-        "cameras": rig.ids,
+        "cameras": cameras.rig.ids,
         "points_per_frame": float(measured.sum() / frames),
         "predicted_per_frame": float((~measured).sum() / frames),
         "rays_mean": float(solved["sizes"][measured].mean()) if measured.any() else 0.0,
         "residual_px": statistics(solved["residual_px"][measured]),
-        "residual_px_by_camera": residual_by_camera(solved, dots, rig),
+        "residual_px_by_camera": residual_by_camera(solved, dots, cameras),
         "certified_frames": float(solved["certified"].mean()) if len(solved["certified"]) else 0.0,
         "searched_dots": float(solved["searched_dots"].sum() / max(len(dots.camera), 1)),
-        "noise_px": dict(zip(rig.ids, model["noise"], strict=True)),
+        "noise_px": dict(zip(cameras.rig.ids, model["noise"], strict=True)),
         "model": model,
         "trajectories": len(np.unique(solved["track"][measured])),
     }

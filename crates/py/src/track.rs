@@ -1,9 +1,12 @@
 //! Tracking: frames of dots to trajectories, one at a time or a take at once.
 
-use crate::conv::DotArrays;
+use crate::conv::{self, DotArrays};
 use crate::errors::InputError;
 use crate::reconstruct::PyModel;
 use crate::rig::PyRig;
+use crate::synth::described;
+use markerloom_core::calibrate::watch::{Moved, Placed, Watch};
+use markerloom_core::camera::Camera;
 use markerloom_core::correspond::frame::Dot;
 use markerloom_core::correspond::scene::Scene;
 use markerloom_core::track::paper::{PaperOptions, PaperTracker};
@@ -12,6 +15,7 @@ use markerloom_core::track::{Kind, Moment, TrackError, TrackOptions, Tracked, Tr
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::collections::VecDeque;
 
 /// Who follows the markers.
 enum Engine {
@@ -27,10 +31,11 @@ impl Engine {
         }
     }
 
-    fn time_s(&self) -> f64 {
+    /// Number and time (s) of the last frame.
+    fn moment(&self) -> (i64, f64) {
         match self {
-            Self::Default(tracker) => tracker.time_s(),
-            Self::Paper(tracker) => tracker.time_s(),
+            Self::Default(tracker) => tracker.moment(),
+            Self::Paper(tracker) => tracker.moment(),
         }
     }
 
@@ -42,11 +47,20 @@ impl Engine {
     }
 }
 
-/// A tracker, and the frames it has recorded.
+/// A tracker, what is known of its cameras' moves, and the frames it has recorded.
 #[pyclass(name = "Tracker")]
 pub struct PyTracker {
     tracker: Engine,
     cameras: usize,
+    watch: Watch,
+    moved: Vec<Moved>,
+    /// Whether cameras are replaced when they are found to have moved.
+    heal: bool,
+    /// Moves that are known before, by frame number.
+    planned: VecDeque<(i64, usize, Camera)>,
+    /// Index of the recorded frame from which on the present scene holds, and the scenes before it.
+    scene_from: usize,
+    past: Vec<(usize, Scene)>,
     recorded: Vec<Tracked>,
     starts: Vec<usize>,
     times_s: Vec<f64>,
@@ -57,8 +71,18 @@ pub struct PyTracker {
 #[pymethods]
 impl PyTracker {
     #[new]
-    #[pyo3(signature = (rig, model, rate_hz, noise_px=None, paper=false))]
-    fn new(rig: &PyRig, model: Option<&PyModel>, rate_hz: f64, noise_px: Option<f64>, paper: bool) -> PyResult<Self> {
+    #[pyo3(signature = (rig, model, rate_hz, noise_px=None, paper=false, heal=false, planned=Vec::new()))]
+    fn new(
+        rig: &PyRig,
+        model: Option<&PyModel>,
+        rate_hz: f64,
+        noise_px: Option<f64>,
+        paper: bool,
+        heal: bool,
+        planned: Vec<(i64, usize, Bound<'_, PyDict>)>,
+    ) -> PyResult<Self> {
+        let camera = |(frame, index, dict): &(i64, usize, Bound<'_, PyDict>)| Ok((*frame, *index, conv::camera(dict)?));
+        let planned = planned.iter().map(camera).collect::<PyResult<_>>()?;
         let options = TrackOptions::default();
         let default = |tracker| Engine::Default(Box::new(tracker));
         let made = match model {
@@ -71,6 +95,12 @@ impl PyTracker {
         Ok(Self {
             tracker,
             cameras: rig.inner.cameras.len(),
+            watch: Watch::new(&rig.inner.cameras),
+            moved: Vec::new(),
+            heal,
+            planned,
+            scene_from: 0,
+            past: Vec::new(),
             recorded: Vec::new(),
             starts: vec![0],
             times_s: Vec::new(),
@@ -88,9 +118,8 @@ impl PyTracker {
         time_s: Option<f64>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (all, _) = dots.frames(self.cameras)?;
-        let tracker = &mut self.tracker;
         let found = py
-            .detach(|| tracker.push(&all, Moment { frame, time_s }))
+            .detach(|| self.follow(&all, Moment { frame, time_s }))
             .map_err(|e| InputError::new_err(e.to_string()))?;
         arrays(py, &[found], &[0], true)
     }
@@ -104,17 +133,16 @@ impl PyTracker {
         times_s: Vec<Option<f64>>,
     ) -> PyResult<()> {
         let (all, ranges) = dots.frames(self.cameras)?;
-        let (tracker, recorded, starts) = (&mut self.tracker, &mut self.recorded, &mut self.starts);
-        let (times, kept, frame_ms) = (&mut self.times_s, &mut self.dots, &mut self.frame_ms);
         py.detach(|| {
             for ((range, frame), time_s) in ranges.into_iter().zip(frames).zip(times_s) {
                 let own: &[Dot] = &all[range];
                 let clock = std::time::Instant::now();
-                recorded.push(tracker.push(own, Moment { frame: Some(frame), time_s })?);
-                frame_ms.push(1000.0 * clock.elapsed().as_secs_f64());
-                times.push(tracker.time_s());
-                kept.push(own.to_vec());
-                starts.push(starts[starts.len() - 1] + own.len());
+                let tracked = self.follow(own, Moment { frame: Some(frame), time_s })?;
+                self.recorded.push(tracked);
+                self.frame_ms.push(1000.0 * clock.elapsed().as_secs_f64());
+                self.times_s.push(self.tracker.moment().1);
+                self.dots.push(own.to_vec());
+                self.starts.push(self.starts[self.starts.len() - 1] + own.len());
             }
             Ok(())
         })
@@ -136,10 +164,64 @@ impl PyTracker {
         if confirmed_only || matches!(self.tracker, Engine::Paper(_)) {
             return arrays(py, &self.recorded, &self.starts, true);
         }
-        let kept = py.detach(|| {
-            repair(self.tracker.scene(), &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s)
-        });
+        let mut scenes: Vec<(usize, &Scene)> = self.past.iter().map(|(from, scene)| (*from, scene)).collect();
+        scenes.push((self.scene_from, self.tracker.scene()));
+        let kept =
+            py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
         arrays(py, &kept, &self.starts, false)
+    }
+
+    /// Cameras found to have moved so far, a dictionary each; the same camera again where its pose is known better.
+    fn moved<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let of = |moved: &Moved| {
+            let out = described(py, &moved.now)?;
+            out.set_item("camera", moved.camera)?;
+            out.set_item("frame", moved.since)?;
+            out.set_item("found", moved.found)?;
+            out.set_item("shift_px", [moved.shift_px.x, moved.shift_px.y])?;
+            out.set_item("dots", moved.dots)?;
+            Ok(out)
+        };
+        self.moved.iter().map(of).collect()
+    }
+}
+
+impl PyTracker {
+    /// Follows the markers through a frame, and watches the cameras.
+    fn follow(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+        let coming = moment.frame.unwrap_or(self.tracker.moment().0 + 1);
+        while let Some((_, camera, now)) = self.planned.pop_front_if(|p| p.0 <= coming) {
+            self.watch.replace(camera, now.clone());
+            self.replace(camera, now, self.recorded.len());
+        }
+        let tracked = self.tracker.push(dots, moment)?;
+        if matches!(self.tracker, Engine::Default(_)) {
+            let placed: Vec<Placed> = tracked
+                .samples
+                .iter()
+                .filter(|s| s.confirmed)
+                .map(|s| Placed { track: s.track, place: s.point, dots: &s.dots })
+                .collect();
+            let found =
+                self.watch.push(self.tracker.moment().0, &placed, dots, &self.tracker.scene().model.noise);
+            if self.heal {
+                for moved in &found {
+                    self.replace(moved.camera, moved.now.clone(), self.recorded.len() + 1);
+                }
+            }
+            self.moved.extend(found);
+        }
+        Ok(tracked)
+    }
+
+    /// The camera as it stands from the recorded frame of this index on.
+    fn replace(&mut self, camera: usize, now: Camera, from: usize) {
+        let Engine::Default(tracker) = &mut self.tracker else { return };
+        let before = tracker.replace_camera(camera, now);
+        if from > self.scene_from {
+            self.past.push((self.scene_from, before));
+            self.scene_from = from;
+        }
     }
 }
 

@@ -47,7 +47,7 @@ pub fn track_points<'py>(
                 let moment = Moment { frame: Some(frame), time_s: None };
                 let points = &all[range[0]..range[1]];
                 recorded.push(if paper { as_written.push(points, moment) } else { default.push(points, moment) }?);
-                times_s.push(if paper { as_written.time_s() } else { default.time_s() });
+                times_s.push(if paper { as_written.moment() } else { default.moment() }.1);
             }
             let repair = |r: Vec<Tracked>| repair_points(&TrackOptions::default(), &r, &times_s);
             Ok(if confirmed_only || paper { recorded } else { repair(recorded) })

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from markerloom import _core
+from markerloom.bumped import between
 from markerloom.errors import InputError
 from markerloom.observations import Observations
 from markerloom.reconstruct import Reconstruction, reconstruct
@@ -20,6 +21,8 @@ ROUNDS = 3
 FEWEST_RAYS = 3
 """Two rays meet wherever a camera stands: such points tell nothing."""
 FEWEST_POINTS = 50
+LEAST_GAIN = 0.02
+"""A rig is changed where frames left out then fit better by this part; less is the noise of the adjustment itself."""
 
 
 def refine_rig(rig: Rig, observations: Observations) -> tuple[Rig, dict[str, Any]]:
@@ -43,7 +46,7 @@ def refine_rig(rig: Rig, observations: Observations) -> tuple[Rig, dict[str, Any
     for _ in range(ROUNDS):
         refined, points = _round(refined, observations, chosen)
     before, after = _residuals(rig, observations, judging), _residuals(refined, observations, judging)
-    worse = after["rms"] >= before["rms"]
+    worse = after["rms"] > (1.0 - LEAST_GAIN) * before["rms"]
     reasons = [f"frames left out fit no better: {before['rms']:.3f} px before, {after['rms']:.3f} px after"]
     report = {
         "frames": len(chosen),
@@ -127,9 +130,5 @@ def _residuals(rig: Rig, observations: Observations, frames: np.ndarray) -> dict
 
 
 def _changes(before: Rig, after: Rig) -> dict[str, dict[str, float]]:
-    moved, turned = {}, {}
-    for a, b in zip(before.cameras, after.cameras, strict=True):
-        moved[a.id] = float(1000.0 * np.linalg.norm(a.position_m - b.position_m))
-        cosine = (np.trace(a.rotation.T @ b.rotation) - 1.0) / 2.0
-        turned[a.id] = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    return {"moved_mm": moved, "turned_deg": turned}
+    apart = {a.id: between(a, b) for a, b in zip(before.cameras, after.cameras, strict=True)}
+    return {"moved_mm": {c: d[0] for c, d in apart.items()}, "turned_deg": {c: d[1] for c, d in apart.items()}}

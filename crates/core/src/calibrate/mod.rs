@@ -15,4 +15,5 @@ pub mod resection;
 pub mod shape;
 pub mod still;
 pub mod wand;
+pub mod watch;
 pub mod wave;

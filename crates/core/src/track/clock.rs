@@ -38,7 +38,8 @@ pub struct Clock {
     rate_hz: f64,
     /// Number and time of the first frame: time counts from there.
     first: Option<(i64, f64)>,
-    frame: i64,
+    /// Number of the present frame.
+    pub frame: i64,
     /// Time of the present frame (s).
     pub time_s: f64,
 }

@@ -34,7 +34,7 @@ pub use clock::{Moment, TimeError};
 
 use adapt::Adaptation;
 
-use crate::camera::Rig;
+use crate::camera::{Camera, Rig};
 use crate::correspond::Group;
 use crate::correspond::frame::{Dot, PreparedFrame};
 use crate::correspond::optimal::{OptimalOptions, optimal};
@@ -268,9 +268,17 @@ impl Tracker {
         &self.scene
     }
 
-    /// Time of the last frame (s).
-    pub fn time_s(&self) -> f64 {
-        self.crowd.clock.time_s
+    /// Number and time (s) of the last frame.
+    pub fn moment(&self) -> (i64, f64) {
+        (self.crowd.clock.frame, self.crowd.clock.time_s)
+    }
+
+    /// From the next frame on, a camera stands elsewhere. Gives the scene until then.
+    pub fn replace_camera(&mut self, index: usize, camera: Camera) -> Scene {
+        let mut rig = self.scene.rig.clone();
+        rig.cameras[index] = camera;
+        let next = Scene::new(&rig, &self.scene.model);
+        std::mem::replace(&mut self.scene, next)
     }
 
     /// Looks for confirmed markers that were not found where their neighbours say they are.

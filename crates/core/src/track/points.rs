@@ -50,9 +50,9 @@ impl PointTracker {
         Ok(Self { crowd: Crowd::new(rate_hz, options)?, gate: chi2::quantile(MISSED, 3.0) })
     }
 
-    /// Time of the last frame (s).
-    pub fn time_s(&self) -> f64 {
-        self.crowd.clock.time_s
+    /// Number and time (s) of the last frame.
+    pub fn moment(&self) -> (i64, f64) {
+        (self.crowd.clock.frame, self.crowd.clock.time_s)
     }
 
     /// Follows the markers into the next frame; a sample's dot is the index of its point.

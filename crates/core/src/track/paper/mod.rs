@@ -42,9 +42,9 @@ impl PaperTracker {
         Ok(Self { scene: Scene::new(rig, model), trajectories, cliques: BTreeMap::new() })
     }
 
-    /// Time of the last frame (s).
-    pub fn time_s(&self) -> f64 {
-        self.trajectories.time_s()
+    /// Number and time (s) of the last frame.
+    pub fn moment(&self) -> (i64, f64) {
+        self.trajectories.moment()
     }
 
     /// What is believed about the take.
@@ -127,9 +127,9 @@ impl PaperPointTracker {
         Ok(Self { trajectories: Trajectories::new(rate_hz, options)? })
     }
 
-    /// Time of the last frame (s).
-    pub fn time_s(&self) -> f64 {
-        self.trajectories.time_s()
+    /// Number and time (s) of the last frame.
+    pub fn moment(&self) -> (i64, f64) {
+        self.trajectories.moment()
     }
 
     /// Follows the markers into the next frame; a sample's dot is the index of its point.

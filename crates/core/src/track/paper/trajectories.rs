@@ -59,9 +59,9 @@ impl Trajectories {
         Ok(Self { options, rate_hz, clock, links: Links::default(), next_track: 0, all: Vec::new() })
     }
 
-    /// Time of the last frame (s).
-    pub fn time_s(&self) -> f64 {
-        self.clock.time_s
+    /// Number and time (s) of the last frame.
+    pub fn moment(&self) -> (i64, f64) {
+        (self.clock.frame, self.clock.time_s)
     }
 
     /// Moves to the next frame: predictions.

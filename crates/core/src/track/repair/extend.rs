@@ -28,14 +28,16 @@ struct Runner {
 }
 
 /// Prolongs all trajectories backwards and forwards. `identity` in the samples must be final.
-pub fn extend(scene: &Scene, dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked]) {
-    let gates = LocateGates::new(scene);
+///
+/// `scenes`: the index of the first frame from which on each holds, in ascending order from 0.
+pub fn extend(scenes: &[(usize, &Scene)], dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked]) {
     for forwards in [false, true] {
-        run(scene, &gates, dots, times_s, frames, forwards);
+        run(scenes, dots, times_s, frames, forwards);
     }
 }
 
-fn run(scene: &Scene, gates: &LocateGates, dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked], forwards: bool) {
+fn run(scenes: &[(usize, &Scene)], dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked], forwards: bool) {
+    let gates = LocateGates::new(scenes[0].1);
     let n = frames.len();
     let mut runners: BTreeMap<u32, Runner> = BTreeMap::new();
     let mut recent: BTreeMap<u32, Vec<(usize, Sample)>> = BTreeMap::new();
@@ -48,7 +50,8 @@ fn run(scene: &Scene, gates: &LocateGates, dots: &[Vec<Dot>], times_s: &[f64], f
         start_runners(&mut runners, &recent, &here, index, times_s);
         advance(&mut runners, index, times_s);
         if !runners.is_empty() {
-            let found = search(scene, gates, &dots[index], &frames[index], &mut runners, index);
+            let scene = scenes[scenes.partition_point(|s| s.0 <= index) - 1].1;
+            let found = search(scene, &gates, &dots[index], &frames[index], &mut runners, index);
             insert(&mut frames[index], found);
         }
         for sample in measured(&frames[index]) {

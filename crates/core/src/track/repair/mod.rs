@@ -28,16 +28,17 @@ use join::{Chain, join};
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
 use twins::without_twins;
 
-/// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame.
+/// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame; `scenes`: the index of the first frame from
+/// which on each holds, in ascending order from 0.
 pub fn repair(
-    scene: &Scene,
+    scenes: &[(usize, &Scene)],
     options: &TrackOptions,
     frames: &[Tracked],
     dots: &[Vec<Dot>],
     times_s: &[f64],
 ) -> Vec<Tracked> {
     let mut repaired = identify(frames, times_s, TORN, Some(dots));
-    extend(scene, dots, times_s, &mut repaired);
+    extend(scenes, dots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
