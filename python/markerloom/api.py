@@ -7,6 +7,7 @@ from pathlib import Path
 from markerloom import formats
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
+from markerloom.calibrate.check import check_rig
 from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
 from markerloom.calibrate.refine import refine_rig
@@ -24,6 +25,7 @@ from markerloom.formats import read_observations, read_points, write_points
 from markerloom.formats.calib_toml import write as write_calibration
 from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
+from markerloom.knock import knock
 from markerloom.observations import Observations
 from markerloom.points import Points
 from markerloom.reconstruct import Reconstruction, reconstruct
@@ -56,11 +58,13 @@ __all__ = [
     "bench",
     "calibrate_origin",
     "calibrate_wand",
+    "check_rig",
     "convert",
     "demo",
     "evaluate",
     "explain",
     "inspect",
+    "knock",
     "make_scene",
     "place_on_spheres",
     "read_calibration",

@@ -27,6 +27,7 @@ from markerloom.demo import summary
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
 from markerloom.evaluate import evaluate as run_evaluate
+from markerloom.explain import TrackedTake
 from markerloom.formats import table_file
 from markerloom.inspect import inspect as run_inspect
 from markerloom.observations import Observations

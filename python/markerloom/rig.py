@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -58,6 +59,16 @@ class Mask:
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """When, and how warm (°C), a camera was at its calibration and at the capture, where a file tells."""
+
+    calibrated: datetime | None = None
+    calibrated_celsius: float | None = None
+    captured: datetime | None = None
+    captured_celsius: float | None = None
+
+
+@dataclass(frozen=True)
 class Camera:
     """One calibrated camera. ``rotation`` turns world axes into camera axes; the camera looks along its +Z."""
 
@@ -70,6 +81,7 @@ class Camera:
     lens: Lens = field(default_factory=Lens)
     mask: Mask | None = None
     name: str = ""
+    conditions: Conditions = field(default_factory=Conditions)
 
     @property
     def translation_m(self) -> Array:

@@ -75,7 +75,7 @@ class Tracker:
     @property
     def moves(self) -> Moves:
         """Cameras that were moved so far; ``moves.rig_at(frame)`` is the rig as it stood in a frame."""
-        return found_moves(self._rig, self._core.moved())
+        return found_moves(self._rig, self._core.moved(False))
 
     def push(
         self, dots: Mapping[str, ArrayLike], frame: int | None = None, time_s: float | None = None
@@ -207,7 +207,7 @@ class _Run:
 
     def moves(self, known: Moves) -> Moves:
         """Cameras that are found to move."""
-        return found_moves(known.rig, self._recorded(known, False, {}).moved())
+        return found_moves(known.rig, self._recorded(known, False, {}).moved(True))
 
     def of(self, known: Moves, *, heal: bool = False) -> TrackedTake:
         """The take with cameras whose moves are known, or are found and healed on the way."""
@@ -216,7 +216,7 @@ class _Run:
         solved = tracker.recorded(self.causal)
         stages["repair"] = time.perf_counter() - clock - sum(stages.values())
         solved["sizes"] = np.diff(solved.pop("dot_starts"))
-        found = found_moves(known.rig, tracker.moved())
+        found = found_moves(known.rig, tracker.moved(not heal))
         in_use = found if heal else known
         report = _report(solved, self.dots, in_use, tracker, list(self.notes), self.causal, self.method)
         owner = np.full(len(self.dots.camera), -1, np.int64)

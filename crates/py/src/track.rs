@@ -172,7 +172,8 @@ impl PyTracker {
     }
 
     /// Cameras found to have moved so far, a dictionary each; the same camera again where its pose is known better.
-    fn moved<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    /// `best`: with the poses that all frames so far give, be they in use yet or not.
+    fn moved<'py>(&self, py: Python<'py>, best: bool) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let of = |moved: &Moved| {
             let out = described(py, &moved.now)?;
             out.set_item("camera", moved.camera)?;
@@ -182,7 +183,8 @@ impl PyTracker {
             out.set_item("dots", moved.dots)?;
             Ok(out)
         };
-        self.moved.iter().map(of).collect()
+        let latest = if best { self.watch.latest() } else { Vec::new() };
+        self.moved.iter().chain(&latest).map(of).collect()
     }
 }
 
@@ -190,7 +192,9 @@ impl PyTracker {
     /// Follows the markers through a frame, and watches the cameras.
     fn follow(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
         let coming = moment.frame.unwrap_or(self.tracker.moment().0 + 1);
-        while let Some((_, camera, now)) = self.planned.pop_front_if(|p| p.0 <= coming) {
+        while self.planned.front().is_some_and(|p| p.0 <= coming)
+            && let Some((_, camera, now)) = self.planned.pop_front()
+        {
             self.watch.replace(camera, now.clone());
             self.replace(camera, now, self.recorded.len());
         }

@@ -11,6 +11,7 @@ import typer
 
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.calibrate.check import check_rig
 from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
 from markerloom.calibrate.refine import refine_rig
@@ -141,6 +142,36 @@ def refine(
             typer.echo(f"warning: {text}", err=True)
         before, after = result["residual_px_before"]["rms"], result["residual_px_after"]["rms"]
         typer.echo(f"residual on frames left out {before:.3f} → {after:.3f} px → {output}")
+
+
+@app.command()
+def check(
+    observations: Annotated[Path, typer.Argument(help="Dots of any take of this rig.")],
+    calibration: Annotated[Path, typer.Option("--calibration", help=".xcp, Calib.toml, .qca.txt or .mcal")],
+    report: Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Compare a rig with a take: is it still right, or should it be calibrated again? Exit code 1 if it should.
+
+    Example: markerloom calibrate check take.x2d --calibration take.xcp
+    """
+    options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
+    result = check_rig(formats.read_calibration(calibration), formats.read_observations(observations))
+    if report is not None:
+        reports.save(reports.of_run([observations, calibration], options, result), report)
+    if not quiet:
+        for text in result["warnings"]:
+            typer.echo(f"warning: {text}", err=True)
+        for name, own in result["cameras"].items():
+            x, y = own["bias_px"]
+            typer.echo(
+                f"camera {name}: bias {x:+.3f}, {y:+.3f} ± {own['bias_sigma_px']:.3f} px, systematic "
+                f"{own['systematic_px']:.3f}, rest {own['rest_px']:.3f}, noise {own['noise_px']:.3f} px"
+            )
+    if result["verdict"] != "ok":
+        raise InputError("the rig does not fit this take:\n  " + "\n  ".join(result["reasons"]))
+    if not quiet:
+        typer.echo("the rig fits this take")
 
 
 def _summary(made: Calibration, output: Path) -> str:

@@ -123,7 +123,7 @@ def write(rig: Rig, path: str | Path) -> None:
         section = camera.id if camera.id.startswith("cam") else f"cam_{camera.id}"
         distortions, fisheye, error = _as_opencv(rig, camera)
         table: dict[str, Any] = {
-            "name": camera.name or camera.id,
+            "name": camera.id,
             "size": [float(v) for v in camera.size_px],
             "matrix": [
                 [camera.focal_px[0], 0.0, camera.principal_px[0]],

@@ -8,6 +8,8 @@ Masks are run-length coded: "r n value n value …" repeats, "v value value …"
 
 from __future__ import annotations
 
+import re
+from datetime import datetime
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -15,7 +17,7 @@ import numpy as np
 
 from markerloom.errors import FormatError
 from markerloom.formats.xml_file import number, numbers, parse
-from markerloom.rig import Camera, Lens, Mask, Rig
+from markerloom.rig import Camera, Conditions, Lens, Mask, Rig
 
 
 def read(path: str | Path) -> Rig:
@@ -51,7 +53,22 @@ def _camera(element: Element, frame: Element, path: str | Path) -> Camera:
         position_m=np.array(numbers(frame, "POSITION", path, 3)) / 1000.0,
         lens=_lens(frame, (cx, cy), path),
         mask=_mask(element, (width, height), path),
+        conditions=Conditions(*_when(element, "Calibration"), *_when(element, "Capture")),
     )
+
+
+def _when(element: Element, name: str) -> tuple[datetime | None, float | None]:
+    """Time (of the place where it was recorded) and temperature (°C) at the end of a calibration or capture."""
+    event = element.find(name)
+    if event is None:
+        return None, None
+    found = re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", event.get("END_TIME", ""))
+    warmth = re.fullmatch(r"-?\d+(\.\d+)?", event.get("END_TEMP", ""))
+    try:
+        time = datetime.fromisoformat(found.group()) if found else None
+    except ValueError:
+        time = None
+    return time, float(warmth.group()) if warmth else None
 
 
 def _rotation(quaternion: list[float]) -> np.ndarray:

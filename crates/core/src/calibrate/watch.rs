@@ -134,6 +134,15 @@ impl Watch {
         found
     }
 
+    /// The cameras that were moved last, each solved from all its dots so far.
+    pub fn latest(&self) -> Vec<Moved> {
+        let best = |(moved, pairs): &(Moved, Vec<Known>)| {
+            let now = refine(&self.cameras[moved.camera], pairs, true);
+            Moved { now, dots: pairs.len(), ..moved.clone() }
+        };
+        self.eyes.iter().filter_map(|eye| eye.moved.as_ref().map(best)).collect()
+    }
+
     /// For each camera, the places that the others give, and where it should see them.
     fn expected(&self, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Vec<Expected>> {
         let mut expected: Vec<Vec<Expected>> = self.cameras.iter().map(|_| Vec::new()).collect();
