@@ -138,7 +138,7 @@ def observe(
 def read_x2d(bytes: bytes) -> dict[str, Any]: ...
 def calibrate_wand(
     cameras: Sequence[dict[str, Any]],
-    focal_known: bool,
+    known: str,
     markers_m: Sequence[Sequence[float]],
     dots: object,
     left_out_every: int,

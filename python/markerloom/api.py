@@ -12,6 +12,7 @@ from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
 from markerloom.calibrate.refine import refine_rig
 from markerloom.convert import convert
+from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
 from markerloom.evaluate import (
     Truth,
@@ -39,6 +40,7 @@ __all__ = [
     "Calibration",
     "Camera",
     "CameraView",
+    "Coverage",
     "Demo",
     "Explanation",
     "Lens",
@@ -60,6 +62,7 @@ __all__ = [
     "calibrate_wand",
     "check_rig",
     "convert",
+    "coverage",
     "demo",
     "evaluate",
     "explain",
@@ -75,6 +78,7 @@ __all__ = [
     "refine_rig",
     "save",
     "save_calibration_page",
+    "save_coverage",
     "save_track_page",
     "simulate",
     "track",

@@ -21,6 +21,8 @@ from markerloom.bench import choose, measure
 from markerloom.bench import line as bench_line
 from markerloom.calibrate.cli import app as calibrate_app
 from markerloom.convert import convert as run_convert
+from markerloom.coverage import Box, save_coverage
+from markerloom.coverage import coverage as run_coverage
 from markerloom.demo import HEADER as DEMO_HEADER
 from markerloom.demo import demo as run_demo
 from markerloom.demo import summary
@@ -34,7 +36,7 @@ from markerloom.observations import Observations
 from markerloom.reconstruct import Progress
 from markerloom.reconstruct import reconstruct as run_reconstruct
 from markerloom.rig import Rig
-from markerloom.simulate import PRESETS, make_scene, save
+from markerloom.simulate import PRESETS, make_rig, make_scene, save
 from markerloom.simulate import simulate as run_simulate
 from markerloom.track import track as run_track
 from markerloom.track_page import save_track_page
@@ -132,8 +134,11 @@ def demo(
 
 @app.command()
 def simulate(
-    scene: Annotated[str, typer.Argument(help=f"One of {', '.join(PRESETS)}.")],
-    folder: Annotated[Path, typer.Option("-o", "--output", help="Folder for the take and its truth.")],
+    scene: Annotated[str, typer.Argument(help=f"One of {', '.join(PRESETS)}; or coverage.")],
+    rig: Annotated[
+        Path | None, typer.Argument(help="Of coverage: a calibration; without one, --cameras and so on.")
+    ] = None,
+    folder: Annotated[Path, typer.Option("-o", "--output", help="Folder for what is written.")] = ...,  # pyright: ignore[reportArgumentType]
     seed: Annotated[int | None, typer.Option(min=0)] = None,
     frames: Annotated[int | None, typer.Option()] = None,
     markers: Annotated[int | None, typer.Option()] = None,
@@ -152,14 +157,41 @@ def simulate(
     clutter_per_frame: Annotated[float | None, typer.Option(help="False dots per camera and frame.")] = None,
     reflections: Annotated[int | None, typer.Option(help="Fixed reflections per camera.")] = None,
     wand: Annotated[str | None, typer.Option(help="Of scene 'wand': a name, or a .toml file.")] = None,
+    marker_mm: Annotated[float, typer.Option(help="Of coverage: diameter of a marker.")] = 14.0,
+    volume: Annotated[
+        str | None, typer.Option(help="Of coverage: the volume in metres.", metavar="X:X,Y:Y,Z:Z")
+    ] = None,
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate a take with its truth.
+    """Simulate a take with its truth; or predict with ``coverage`` how well a rig will measure, and where.
 
     Example: markerloom simulate exp61 -o out/exp61 --hide one --seed 3 --frames 200
+    · markerloom simulate coverage rig.toml -o out/coverage
     """
-    given = {k: v for k, v in locals().items() if k not in ("scene", "folder", "report", "quiet")}
+    elsewhere = ("scene", "rig", "folder", "marker_mm", "volume", "report", "quiet")
+    given = {k: v for k, v in locals().items() if k not in (*elsewhere, "elsewhere")}
+    if scene == "coverage":
+        cameras_of = make_rig(make_scene("walk", **given)) if rig is None else formats.read_calibration(rig)
+        found = run_coverage(
+            cameras_of,
+            sigma_px=0.1 if sigma_px is None else sigma_px,
+            marker_mm=marker_mm,
+            volume_m=None if volume is None else _volume(volume),
+        )
+        save_coverage(found, folder)
+        warn(quiet, found.report["warnings"])
+        three = found.report["sigma_mm_by_three"]
+        say(
+            quiet,
+            f"{found.report['share_by_cameras'].get('3', 0.0):.0%} of the volume in view of 3 cameras or more, "
+            f"expected error there {three['median']:.3f} mm (95 % below {three['p95']:.3f}) → "
+            f"{folder / 'coverage.html'}",
+        )
+        finish(report, [] if rig is None else [rig], {"scene": scene, **given}, found.report)
+        return
+    if rig is not None:
+        raise typer.BadParameter("a rig is for coverage; scenes have their own (--cameras, --shape, …)")
     made = make_scene(scene, **given)
     with progress_bar("simulate", quiet) as progress:
         take = run_simulate(made, progress=progress)
@@ -169,6 +201,15 @@ def simulate(
         f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}",
     )
     finish(report, [], {"scene": scene, **given}, {"frames": made.frames})
+
+
+def _volume(text: str) -> Box:
+    try:
+        x, y, z = (tuple(float(v) for v in side.split(":")) for side in text.split(","))
+        (x0, x1), (y0, y1), (z0, z1) = x, y, z
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not X:X,Y:Y,Z:Z", param_hint="--volume") from None
+    return (x0, x1), (y0, y1), (z0, z1)
 
 
 @app.command()

@@ -135,6 +135,14 @@ class Rig:
         """Ids in the order of the cameras."""
         return [c.id for c in self.cameras]
 
+    def find(self, camera: str) -> Camera | None:
+        """The camera of an id, or else of a name; ``None`` if there is none."""
+        for key in (lambda c: c.id, lambda c: c.name):
+            for one in self.cameras:
+                if key(one) == camera:
+                    return one
+        return None
+
     @cached_property
     def core(self) -> _core.Rig:
         """The engine's rig."""

@@ -6,7 +6,6 @@ use crate::rig::PyRig;
 use crate::synth::described;
 use markerloom_core::calibrate::bootstrap::Start;
 use markerloom_core::calibrate::bundle::Sighting;
-use markerloom_core::calibrate::bundle::camera::PARAMETERS;
 use markerloom_core::calibrate::bundle::covariance::covariance;
 use markerloom_core::calibrate::refine::refine;
 use markerloom_core::calibrate::wand::{Span, Wand};
@@ -28,13 +27,13 @@ fn wand(markers_m: Vec<[f64; 3]>) -> PyResult<Wand> {
     Wand::new(&places).ok_or_else(|| InputError::new_err("a wand needs markers, each at a place of its own"))
 }
 
-/// Calibrates cameras from the raw dots of a wand wave; see `markerloom/calibrate/wand.py`.
+/// Calibrates cameras from the raw dots of a wand wave; `known` of them: `nothing`, `intrinsics` or (roughly) `rig`; see `markerloom/calibrate/wand.py`.
 #[pyfunction]
-#[pyo3(signature = (cameras, focal_known, markers_m, dots, left_out_every, most_poses))]
+#[pyo3(signature = (cameras, known, markers_m, dots, left_out_every, most_poses))]
 pub fn calibrate_wand<'py>(
     py: Python<'py>,
     cameras: Vec<Bound<'py, PyDict>>,
-    focal_known: bool,
+    known: &str,
     markers_m: Vec<[f64; 3]>,
     dots: DotArrays<'py>,
     left_out_every: usize,
@@ -43,7 +42,7 @@ pub fn calibrate_wand<'py>(
     let cameras: Vec<_> = cameras.iter().map(conv::camera).collect::<PyResult<_>>()?;
     let (all, ranges) = dots.frames(cameras.len())?;
     let wand = wand(markers_m)?;
-    let start = Start { cameras, focal_known };
+    let start = Start { cameras, focal_known: known == "intrinsics", rig_known: known == "rig" };
     let options = Options { left_out_every, most_poses };
     let solved = py.detach(|| calibrate(&start, &wand, &all, &ranges, &options));
     let wave = solved.map_err(|e| InputError::new_err(e.to_string()))?;
@@ -96,7 +95,6 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
         let n = matrix.nrows();
         out.set_item("covariance", table(py, matrix.iter().copied().collect(), n)?)?;
     }
-    out.set_item("parameters", PARAMETERS)?;
     Ok(out)
 }
 

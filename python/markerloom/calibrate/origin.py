@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from markerloom.calibrate.wands import Wand
-from markerloom.calibrate.world import moved
+from markerloom.calibrate.world import mean_rotation, moved, rigid
 from markerloom.errors import InputError
 from markerloom.observations import Observations
 from markerloom.reconstruct import reconstruct
@@ -62,7 +62,7 @@ def calibrate_origin(
         raise InputError(
             f"'{floor_object.name}' moves in this take: lay it down and record again ({observations.source})"
         )
-    turn = _mean_rotation(np.array([r for r, _ in poses]))
+    turn = mean_rotation(np.array([r for r, _ in poses]))
     shift = np.median(centres, axis=0) - turn @ places.mean(axis=0)
     cameras = moved(list(rig.cameras), turn.T, shift)
     below = [c.id for c in cameras if c.position_m[2] < 0]
@@ -93,14 +93,14 @@ def _find(points: Array, places: Array) -> tuple[Array, Array, float, float] | N
     for chosen in permutations(range(len(points)), 3):
         if not _fits(points[list(chosen)], places[list(basis)]):
             continue
-        turn, shift = _rigid(places[list(basis)], points[list(chosen)])
+        turn, shift = rigid(places[list(basis)], points[list(chosen)])
         expected = places @ turn.T + shift
         apart = np.linalg.norm(expected[:, None] - points[None], axis=2)
         nearest = apart.argmin(axis=1)
         reach = 2.0 * (DISTANCE_M + DISTANCE_PART * np.linalg.norm(places - places.mean(axis=0), axis=1))
         if len(set(nearest.tolist())) < len(places) or np.any(apart.min(axis=1) > reach):
             continue
-        turn, shift = _rigid(places, points[nearest])
+        turn, shift = rigid(places, points[nearest])
         misfit = float(np.sqrt(np.mean(np.sum((places @ turn.T + shift - points[nearest]) ** 2, axis=1))))
         if best is None or misfit < best[2]:
             a, b = places - places.mean(axis=0), points[nearest] - points[nearest].mean(axis=0)
@@ -118,16 +118,3 @@ def _fits(points: Array, places: Array) -> bool:
         if abs(np.linalg.norm(points[i] - points[j]) - true) > DISTANCE_M + DISTANCE_PART * true:
             return False
     return True
-
-
-def _rigid(own: Array, world: Array) -> tuple[Array, Array]:
-    """Rotation and shift that lay ``own`` on ``world`` by least squares (Kabsch 1976); never a mirror image."""
-    a, b = own - own.mean(axis=0), world - world.mean(axis=0)
-    u, _, vt = np.linalg.svd(b.T @ a)
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return turn, world.mean(axis=0) - turn @ own.mean(axis=0)
-
-
-def _mean_rotation(turns: Array) -> Array:
-    u, _, vt = np.linalg.svd(turns.sum(axis=0))
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -14,6 +14,8 @@ LEAST_COVERAGE = 0.10
 """Part of the image (of a 12 x 12 grid, over the part any wand can be seen in) that the wand must have visited."""
 LEAST_FITTING = 0.8
 """Part of a camera's whole views of the wand that must fit what the other cameras saw."""
+WEAK = 0.005
+"""A camera's place should be known to this part of its distance from the middle of the rig."""
 STANDS_OUT = 5.0
 LEAST_RESIDUAL_PX = 0.3
 """A camera's median residual stands out when it is so many times that of the others, and worth speaking of."""
@@ -28,13 +30,12 @@ def refusals(rig: Rig, report: dict[str, Any], solved: dict[str, Any], reached_p
         if camera.id in report["unjoined"]:
             continue
         own = report["cameras"][camera.id]
-        reasons += _of_camera(camera.id, own)
+        reasons += _of_camera(camera.id, own, report["markers"])
         if _folded(rig, rig.cameras.index(camera), reached_px[camera.id]):
             reasons.append(
                 f"camera {camera.id}: {FOLDED}: its views do not determine the lens; wave into its corners too"
             )
-    if not solved["determined"]:
-        reasons.append("the views do not determine all cameras: some are weakly connected; wave where several see it")
+    reasons += _weak(rig, report, solved)
     if not solved["converged"]:
         reasons.append("the adjustment did not settle: wave longer, over the whole volume, in all directions")
     reasons += _of_lengths(report)
@@ -63,7 +64,7 @@ def _standing_out(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _of_camera(camera: str, own: dict[str, Any]) -> list[str]:
+def _of_camera(camera: str, own: dict[str, Any], markers: int) -> list[str]:
     reasons = []
     if own["views"] < FEWEST_VIEWS:
         reasons.append(
@@ -74,11 +75,28 @@ def _of_camera(camera: str, own: dict[str, Any]) -> list[str]:
             f"camera {camera}: the wand visited {own['coverage']:.0%} of its image ({LEAST_COVERAGE:.0%} needed): "
             "wave from edge to edge of its view"
         )
-    if own["used"] < LEAST_FITTING:
+    if own["used"] < LEAST_FITTING and markers > 1:  # a single dot may always be another's
         reasons.append(
             f"camera {camera}: only {own['used']:.0%} of its views of the wand fit the others: it moved during the "
             "wave, or its intrinsics are not its own; fasten it and wave again"
         )
+    return reasons
+
+
+def _weak(rig: Rig, report: dict[str, Any], solved: dict[str, Any]) -> list[str]:
+    """Cameras whose places the wave tells only roughly."""
+    if not solved["determined"]:
+        return ["the views do not determine all cameras: some are weakly connected; wave where several see the wand"]
+    middle = np.median(np.array([c.position_m for c in rig.cameras]), axis=0)
+    reasons = []
+    for camera in rig.cameras:
+        sigma_mm = report["cameras"][camera.id]["position_sigma_mm"]
+        distance_mm = 1000.0 * float(np.linalg.norm(camera.position_m - middle))
+        if sigma_mm > WEAK * distance_mm:
+            reasons.append(
+                f"camera {camera.id} is weakly connected: its place is known to ± {sigma_mm:.0f} mm only; wave where "
+                "it and others see the wand, far and near"
+            )
     return reasons
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from markerloom import _core
 from markerloom.calibrate.verdict import refusals
 from markerloom.calibrate.wands import Wand
-from markerloom.calibrate.world import moved, natural_world
+from markerloom.calibrate.world import moved, natural_world, old_world
 from markerloom.errors import InputError
 from markerloom.observations import DotArrays, Observations
 from markerloom.reconstruct import statistics
@@ -23,6 +23,8 @@ Ints = NDArray[np.int64]
 LEFT_OUT_EVERY = 10
 """One pose in this many is left out of the fit by which lengths and residuals are judged."""
 MOST_POSES = 6000
+PARAMETERS = 15
+"""Adjusted parameters of a camera."""
 GRID = 12
 """Cells along each side of an image in which coverage is counted."""
 
@@ -32,9 +34,9 @@ class Calibration:
     """A calibrated rig and what it is worth: ``report["verdict"]`` is ``ok``, or ``refused`` with ``reasons``.
 
     ``dots_px``: for each camera id the pixels (n, 2) of the wand's dots in use; ``residuals_px``: their residuals
-    (n, 2). ``covariance``: of all camera parameters (15 each: rotation in camera axes, position, focal length, centre
-    of the image, c1, c2, p1, p2, c3, aspect; in the axes before ``rig``'s world was chosen), the rig laid onto its own
-    camera centres; ``None`` where it is not determined.
+    (n, 2). ``covariance``: of all camera parameters (15 each, in the order of ``rig``: rotation in camera axes (rad),
+    position (m), focal length, centre of the image (px), c1, c2, p1, p2, c3, aspect), the rig laid onto its own camera
+    centres; ``None`` where it is not determined.
     """
 
     rig: Rig
@@ -43,6 +45,25 @@ class Calibration:
     residuals_px: dict[str, Array]
     covariance: Array | None
 
+    def quality(self) -> dict[str, Any]:
+        """What goes into a calibration file: the report's main figures, and for each camera the covariance of its pose.
+
+        ``pose_covariance``: rotation in camera axes (rad), then position (m); 6 x 6, row by row.
+        """
+        report, cameras = self.report, {}
+        for i, camera in enumerate(self.rig.ids):
+            own = report["cameras"][camera]
+            row = {"reprojection_px": own["reprojection_px"]["rms"], "views": own["views"]}
+            keys = ("position_sigma_mm", "angle_sigma_deg", "focal_sigma_px")
+            row |= {key: own[key] for key in keys if key in own}
+            if self.covariance is not None:
+                at = PARAMETERS * i
+                row["pose_covariance"] = self.covariance[at : at + 6, at : at + 6].ravel().tolist()
+            cameras[camera] = row
+        main = ("verdict", "wand", "poses", "reprojection_px", "scale_error")
+        lengths = {"wand_length_std_mm": report["wand_length_mm"]["std"]}
+        return {key: report[key] for key in main} | lengths | {"cameras": cameras}
+
 
 def calibrate_wand(
     observations: Observations,
@@ -50,14 +71,18 @@ def calibrate_wand(
     *,
     image_sizes: dict[str, tuple[float, float]] | None = None,
     intrinsics: Rig | None = None,
+    start: Rig | None = None,
     cameras: list[str] | None = None,
+    camera_distance_m: tuple[str, str, float] | None = None,
 ) -> Calibration:
     """Calibrate every camera from unlabelled dots of a waved wand; nothing of the cameras needs to be known.
 
     ``image_sizes``: width and height (px) by camera id; without them and without ``intrinsics`` they are taken from
-    where dots were seen. ``intrinsics``: a rig whose focal lengths and lenses are kept. ``cameras``: only these. The
-    world has +Z up as the cameras stand; the wand's lengths set the scale. A result that is not right comes back with
-    the verdict ``refused`` and its reasons.
+    where dots were seen. ``intrinsics``: a rig whose focal lengths and lenses are kept. ``start``: an old calibration
+    to start from, whose world is kept. ``cameras``: only these. ``camera_distance_m``: two cameras and the distance of
+    their centres, which sets the scale where the wand is a single marker; its lenses then have their centres in the
+    middle of the image unless ``intrinsics`` say where. Without ``start``, the world has +Z up as the cameras stand. A
+    result that is not right comes back with the verdict ``refused`` and its reasons.
 
     Raises ``InputError`` where there is nothing to calibrate from: fewer than two cameras, no wand in any two of them.
     """
@@ -67,17 +92,39 @@ def calibrate_wand(
             raise InputError(f"camera {unknown[0]} has no observations ({observations.source})")
         observations = observations.of_cameras(cameras)
     ids, dots, notes = _usable(observations)
-    sizes, size_notes = _sizes(ids, dots, image_sizes, intrinsics)
-    start = [_start(camera, sizes[camera], intrinsics) for camera in ids]
+    if len(wand.places_m) == 1 and camera_distance_m is None:
+        raise InputError("a single marker has no length: state the distance of two cameras (--camera-distance A,B=MM)")
+    known = intrinsics if intrinsics is not None else start
+    sizes, size_notes = _sizes(ids, dots, image_sizes, known)
+    first = [_start(camera, sizes[camera], known) for camera in ids]
     solved = _core.calibrate_wand(
-        [c._described() for c in start],
-        intrinsics is not None,
+        [c._described() for c in first],
+        "intrinsics" if intrinsics is not None else "nothing" if start is None else "rig",
         wand.places_m.tolist(),
         dots,
         LEFT_OUT_EVERY,
         MOST_POSES,
     )
-    return _as_calibration(solved, start, dots, wand, [*notes, *size_notes], observations)
+    if len(wand.places_m) == 1 and camera_distance_m is not None:
+        _rescale(solved, ids, *camera_distance_m)
+    return _as_calibration(solved, first, dots, wand, [*notes, *size_notes], observations, start)
+
+
+def _rescale(solved: dict[str, Any], ids: list[str], a: str, b: str, distance_m: float) -> None:
+    """Give the solved rig the scale at which two cameras are so far apart."""
+    joined = [c for i, c in enumerate(ids) if i not in solved["missing"]]
+    for camera in (a, b):
+        if camera not in joined:
+            raise InputError(f"the distance to camera {camera} is stated, but it is not among {', '.join(joined)}")
+    place = [np.array(c["position_m"]) for c in solved["cameras"]]
+    scale = distance_m / float(np.linalg.norm(place[ids.index(a)] - place[ids.index(b)]))
+    for camera, at in zip(solved["cameras"], place, strict=True):
+        camera["position_m"] = scale * at
+    solved["pose_position_m"] = scale * solved["pose_position_m"]
+    if "covariance" in solved:
+        factor = np.ones(len(solved["covariance"])).reshape(-1, PARAMETERS)
+        factor[:, 3:6] = scale
+        solved["covariance"] = solved["covariance"] * np.outer(factor, factor)
 
 
 def _usable(observations: Observations) -> tuple[list[str], DotArrays, list[str]]:
@@ -104,7 +151,7 @@ def _sizes(
 ) -> tuple[dict[str, tuple[float, float]], list[str]]:
     known = dict(given or {})
     if intrinsics is not None:
-        known |= {c.id: c.size_px for c in intrinsics.cameras}
+        known |= {i: found.size_px for i in ids if (found := intrinsics.find(i)) is not None}
     sizes, guessed = {}, []
     for i, camera in enumerate(ids):
         own = dots.pixel[dots.camera == i]
@@ -124,11 +171,12 @@ def _sizes(
     return sizes, [note + ", ".join(guessed)] if guessed else []
 
 
-def _start(camera: str, size: tuple[float, float], intrinsics: Rig | None) -> Camera:
-    if intrinsics is not None:
-        if camera not in intrinsics.ids:
-            raise InputError(f"the intrinsics lack camera {camera}; leave it out with --cameras ({intrinsics.source})")
-        return intrinsics.cameras[intrinsics.ids.index(camera)]
+def _start(camera: str, size: tuple[float, float], known: Rig | None) -> Camera:
+    if known is not None:
+        found = known.find(camera)
+        if found is None:
+            raise InputError(f"the calibration lacks camera {camera}; leave it out with --cameras ({known.source})")
+        return replace(found, id=camera)
     principal = ((size[0] - 1.0) / 2.0, (size[1] - 1.0) / 2.0)
     return Camera(camera, size, (size[0], size[0]), principal, np.eye(3), np.zeros(3))
 
@@ -140,11 +188,13 @@ def _as_calibration(
     wand: Wand,
     notes: list[str],
     observations: Observations,
+    old: Rig | None,
 ) -> Calibration:
     adjusted = [_camera(s, d) for s, d in zip(start, solved["cameras"], strict=True)]
     joined = [i for i in range(len(start)) if i not in solved["missing"]]
     wave_m = solved["pose_position_m"]
-    rotation, origin = natural_world([adjusted[i] for i in joined], wave_m)
+    kept = [adjusted[i] for i in joined]
+    rotation, origin = natural_world(kept, wave_m) if old is None else old_world(kept, old)
     rig = Rig(tuple(moved([adjusted[i] for i in joined], rotation, origin)), f"calibrated from {observations.source}")
     used = solved["used"]
     ids = [c.id for c in start]
@@ -160,8 +210,20 @@ def _as_calibration(
         report=report,
         dots_px=reached,
         residuals_px={i: solved["residual_px"][rows] for i, rows in of.items()},
-        covariance=solved.get("covariance"),
+        covariance=_in_world(solved, joined, rotation),
     )
+
+
+def _in_world(solved: dict[str, Any], joined: list[int], rotation: Array) -> Array | None:
+    """The covariance of the joined cameras' parameters with positions in the world's axes."""
+    if "covariance" not in solved:
+        return None
+    rows = np.concatenate([np.arange(PARAMETERS) + PARAMETERS * i for i in joined])
+    turn = np.eye(len(rows))
+    for k in range(len(joined)):
+        at = PARAMETERS * k + 3
+        turn[at : at + 3, at : at + 3] = rotation
+    return turn @ solved["covariance"][np.ix_(rows, rows)] @ turn.T
 
 
 def _camera(start: Camera, described: dict[str, Any]) -> Camera:
@@ -196,6 +258,7 @@ def _report(
         "frames": len(dots.starts) - 1,
         "warnings": notes,
         "wand": wand.name,
+        "markers": len(wand.places_m),
         "poses": len(solved["pose_frame"]),
         "observations": int(used.sum()),
         "observations_used": float(used.mean()) if len(used) else 0.0,
@@ -203,6 +266,7 @@ def _report(
         "residual_px": statistics(np.sqrt(squared.sum(axis=1))),
         "left_out_residual_px": statistics(left_out[np.isfinite(left_out)]),
         "wand_length_mm": _lengths(solved["left_out_lengths_m"], wand),
+        "scale_error": _scale_error(solved["left_out_lengths_m"]),
         "cameras": per_camera,
         "unjoined": [ids[i] for i in solved["missing"]],
         "whole_views": dict(zip(ids, solved["whole_views"], strict=True)),
@@ -231,12 +295,17 @@ def _of_camera(
         "coverage": len(cells) / GRID**2,
     }
     if "covariance" in solved:
-        n = solved["parameters"]
-        block = solved["covariance"][index * n : (index + 1) * n, index * n : (index + 1) * n]
+        at = slice(index * PARAMETERS, (index + 1) * PARAMETERS)
+        block = solved["covariance"][at, at]
         result["position_sigma_mm"] = float(1000.0 * np.sqrt(max(np.trace(block[3:6, 3:6]), 0.0)))
         result["angle_sigma_deg"] = float(np.degrees(np.sqrt(max(np.trace(block[:3, :3]), 0.0))))
         result["focal_sigma_px"] = float(np.sqrt(max(block[6, 6], 0.0)))
     return result
+
+
+def _scale_error(lengths_m: Array) -> float:
+    """How much longer the wand measures on poses left out than it is (relative); NaN without lengths."""
+    return float(lengths_m[:, 0].sum() / lengths_m[:, 1].sum() - 1.0) if len(lengths_m) else float("nan")
 
 
 def _lengths(lengths_m: Array, wand: Wand) -> dict[str, Any]:

@@ -18,6 +18,7 @@ NAMED_MM: dict[str, list[list[float]]] = {
     "vicon-t": [[-80, 0, 0], [0, 0, 0], [160, 0, 0], [0, 120, 0], [0, 240, 0]],
     "line-500": [[0, 0, 0], [150, 0, 0], [500, 0, 0]],
     "pair-500": [[0, 0, 0], [500, 0, 0]],
+    "marker": [[0, 0, 0]],
 }
 
 
@@ -34,8 +35,8 @@ def read_wand(name: str | Path) -> Wand:
     """A wand by its name, or from a TOML file.
 
     Names: ``vicon-t`` (five markers: −80, 0, 160 mm on a line, and 120, 240 mm at right angles), ``line-500`` (0, 150,
-    500 mm), ``pair-500`` (500 mm apart). Raises ``InputError`` for an unknown name, ``FormatError`` for a
-    file that is none.
+    500 mm), ``pair-500`` (500 mm apart), ``marker`` (a single one). Raises ``InputError`` for an unknown name,
+    ``FormatError`` for a file that is none.
     """
     if str(name) in NAMED_MM:
         places = np.array(NAMED_MM[str(name)], float) / 1000.0
@@ -62,7 +63,7 @@ def _of_table(content: dict[str, Any], path: str | Path) -> Wand:
     except (KeyError, TypeError, ValueError):
         raise FormatError(path, "every marker needs a name and position = [x, y, z]", where="[[markers]]") from None
     if len(rows) < 2:
-        raise FormatError(path, "one marker has no length: a wand needs two or more", where="[[markers]]")
+        raise FormatError(path, "one marker has no length: name the wand 'marker' instead", where="[[markers]]")
     if places.shape != (len(rows), 3) or not np.isfinite(places).all():
         raise FormatError(path, "every position is three finite numbers", where="[[markers]]")
     return Wand(str(content.get("name", Path(path).stem)), names, places * UNITS[units])

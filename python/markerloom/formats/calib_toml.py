@@ -115,12 +115,19 @@ def _fingerprint(table: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def write(rig: Rig, path: str | Path) -> None:
-    """Write a rig for Pose2Sim, anipose, caliscope and markerloom."""
+def write(
+    rig: Rig, path: str | Path, *, quality: dict[str, Any] | None = None, extra: dict[str, Any] | None = None
+) -> None:
+    """Write a rig for Pose2Sim, anipose, caliscope and markerloom.
+
+    ``quality``: what the calibration is worth, with a table ``cameras`` by id; ``extra``: tables of markerloom's own.
+    """
     document = tomlkit.document()
-    own: dict[str, Any] = {"version": 1, "up_axis": "z"}
+    own: dict[str, Any] = {"version": 1, "up_axis": "z", **(extra or {})}
+    if quality is not None:
+        own["quality"] = quality | {"cameras": {_section(c): quality["cameras"][c.id] for c in rig.cameras}}
     for camera in rig.cameras:
-        section = camera.id if camera.id.startswith("cam") else f"cam_{camera.id}"
+        section = _section(camera)
         distortions, fisheye, error = _as_opencv(rig, camera)
         table: dict[str, Any] = {
             "name": camera.id,
@@ -148,8 +155,13 @@ def write(rig: Rig, path: str | Path) -> None:
             covered = np.flatnonzero(camera.mask.tiles).tolist()
             masks = own.setdefault("masks", {})
             masks[section] = {"tile_px": camera.mask.tile_px, "grid": camera.mask.grid, "covered": covered}
-    document["metadata"] = {"adjusted": False, "error": 0.0, "markerloom": own}
+    error = 0.0 if quality is None else quality["reprojection_px"]
+    document["metadata"] = {"adjusted": False, "error": error, "markerloom": own}
     write_text(path, tomlkit.dumps(document))
+
+
+def _section(camera: Camera) -> str:
+    return camera.id if camera.id.startswith("cam") else f"cam_{camera.id}"
 
 
 def _as_opencv(rig: Rig, camera: Camera) -> tuple[list[float], bool, float]:

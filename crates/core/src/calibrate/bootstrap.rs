@@ -18,10 +18,12 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// What is known of the cameras before: identity, sensor, and either a guess or a calibrated lens and focal length.
 #[derive(Clone, Debug)]
 pub struct Start {
-    /// Poses do not matter.
+    /// Poses do not matter unless they are known.
     pub cameras: Vec<Camera>,
     /// Whether focal lengths (and lenses) are known.
     pub focal_known: bool,
+    /// Whether everything is known roughly: an old calibration.
+    pub rig_known: bool,
 }
 
 /// Why there is no first rig.
@@ -65,7 +67,55 @@ const GROWTH: f64 = 1.3;
 const ROUGH: f64 = 0.015;
 
 /// Makes the first rig. `frames`: the views of each frame, whole wands only.
+///
+/// A single marker has no length by which focal lengths could be told from two views; it takes all cameras, which are
+/// given the same focal length (relative to their sensors) until one fits the marker best.
 pub fn first_rig(start: &Start, wand: &Wand, frames: &mut [Vec<View>]) -> Result<FirstRig, NoRig> {
+    if start.rig_known
+        && let Some(rig) = old_rig(start, wand, frames)
+    {
+        return Ok(rig);
+    }
+    if start.focal_known || wand.span != Span::Point {
+        return grown_rig(start, wand, frames);
+    }
+    let ratio = (FOCAL_RANGE.1 / FOCAL_RANGE.0).powf(1.0 / (FOCAL_STEPS - 1) as f64);
+    let mut best: Option<((usize, f64), FirstRig)> = None;
+    for step in 0..FOCAL_STEPS {
+        let mut alike = Start { focal_known: true, ..start.clone() };
+        for camera in &mut alike.cameras {
+            camera.focal_px = camera.focal_px.map(|f| f * FOCAL_RANGE.0 * ratio.powi(step as i32));
+        }
+        let Ok(mut rig) = grown_rig(&alike, wand, frames) else { continue };
+        adjust(start, wand, frames, &mut rig);
+        let worth = (rig.missing.len(), misfit_px(wand, frames, &rig));
+        if best.as_ref().is_none_or(|(least, _)| worth < *least) {
+            best = Some((worth, rig));
+        }
+    }
+    best.map(|b| b.1).ok_or(NoRig::NoGeometry)
+}
+
+/// The old calibration, where it still places the wand often enough; cameras that then see it too seldom are missing.
+fn old_rig(start: &Start, wand: &Wand, frames: &mut [Vec<View>]) -> Option<FirstRig> {
+    let mut rig = FirstRig { cameras: start.cameras.clone(), poses: vec![None; frames.len()], missing: Vec::new() };
+    rename_all(&rig, wand, frames);
+    place_all(&mut rig, wand, frames);
+    let placed = |c: usize| {
+        let seen = |(at, views): (&Option<Pose>, &Vec<View>)| at.is_some() && views.iter().any(|v| v.camera == c);
+        rig.poses.iter().zip(frames.iter()).filter(|(a, v)| seen((a, v))).count()
+    };
+    let missing: Vec<usize> = (0..rig.cameras.len()).filter(|&c| placed(c) < FEWEST_COMMON).collect();
+    if rig.cameras.len() - missing.len() < 2 {
+        return None;
+    }
+    rig.missing = missing;
+    while add_camera(start, wand, frames, &mut rig) {}
+    Some(rig)
+}
+
+/// Two cameras, and then one after the other.
+fn grown_rig(start: &Start, wand: &Wand, frames: &mut [Vec<View>]) -> Result<FirstRig, NoRig> {
     let mut best: Option<(f64, FirstRig)> = None;
     let seeds = seeds(start.cameras.len(), frames);
     let most = seeds.first().map_or(0, |s| s.0);
@@ -288,6 +338,29 @@ fn place_all(rig: &mut FirstRig, wand: &Wand, frames: &[Vec<View>]) {
 
 /// Robust adjustment of joined cameras (pose, focal length) and placed wands.
 fn adjust(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &mut FirstRig) {
+    let mut bundle = bundle_of(start, wand, frames, rig);
+    for _ in 0..ROUNDS {
+        let noise = noise_px(&bundle, |_| true);
+        weigh_softly(&mut bundle, &noise);
+        bundle.adjust(STEPS);
+    }
+    rig.cameras = bundle.cameras;
+    let mut adjusted = bundle.poses.into_iter();
+    for at in rig.poses.iter_mut().filter(|p| p.is_some()) {
+        *at = adjusted.next();
+    }
+}
+
+/// Median residual of the joined cameras (px).
+fn misfit_px(wand: &Wand, frames: &[Vec<View>], rig: &FirstRig) -> f64 {
+    let start = Start { cameras: Vec::new(), focal_known: true, rig_known: false };
+    let bundle = bundle_of(&start, wand, frames, rig);
+    let mut all: Vec<f64> = bundle.sightings.iter().filter_map(|s| Some(bundle.residual(s)?.norm())).collect();
+    if all.is_empty() { f64::INFINITY } else { median(&mut all) }
+}
+
+/// Joined cameras (pose and, unless known, focal length free) and placed wands.
+fn bundle_of(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &FirstRig) -> Bundle {
     let mut freedom = free(&[ROTATION, POSITION]);
     freedom[FOCAL] = !start.focal_known;
     let joined = |c: usize| !rig.missing.contains(&c);
@@ -302,23 +375,13 @@ fn adjust(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &mut FirstRig) 
         }
         poses.push(*at);
     }
-    let mut bundle = Bundle {
+    Bundle {
         cameras: rig.cameras.clone(),
         freedom: freedoms,
         wand: wand.clone(),
         poses,
         poses_held: false,
         sightings,
-    };
-    for _ in 0..ROUNDS {
-        let noise = noise_px(&bundle, |_| true);
-        weigh_softly(&mut bundle, &noise);
-        bundle.adjust(STEPS);
-    }
-    rig.cameras = bundle.cameras;
-    let mut adjusted = bundle.poses.into_iter();
-    for at in rig.poses.iter_mut().filter(|p| p.is_some()) {
-        *at = adjusted.next();
     }
 }
 

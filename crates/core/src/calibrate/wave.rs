@@ -2,7 +2,7 @@
 
 use super::bootstrap::{FirstRig, NoRig, Start, first_rig, sightings_of};
 use super::bundle::Bundle;
-use super::bundle::camera::{FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, free};
+use super::bundle::camera::{FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, coefficients, free};
 use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
 use super::gather::{Gathered, Seen, gather};
 use super::identify::Pattern;
@@ -10,7 +10,7 @@ use super::pose::View;
 use super::shape;
 use super::still::still;
 use super::wand::{Span, Wand};
-use crate::camera::Lens;
+use crate::camera::{Camera, Lens};
 use crate::correspond::frame::Dot;
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -54,6 +54,8 @@ pub struct Wave {
 /// Frames used for the first rig: as many as give every camera enough views.
 const BOOTSTRAP_FRAMES: usize = 250;
 const BOOTSTRAP_VIEWS: usize = 80;
+/// Steps of the last adjustments: a wand needs a handful, a single marker, whose cameras calibrate themselves, dozens.
+const LAST_STEPS: usize = 100;
 
 /// Calibrates. `dots` in ascending order of frame; `ranges`: those of each frame.
 pub fn calibrate(
@@ -69,7 +71,7 @@ pub fn calibrate(
     let chosen = bootstrap_frames(start.cameras.len(), &views);
     let mut few: Vec<Vec<View>> = chosen.iter().map(|&f| views[f].clone()).collect();
     let first = first_rig(start, wand, &mut few)?;
-    let freedom = freedom(start);
+    let freedom = freedom(start, wand);
     let mut rough = rough_bundle(start, wand, &few, &first, &freedom);
     for _ in 0..4 {
         let noise = noise_px(&rough, |_| true);
@@ -110,10 +112,15 @@ impl Wave {
     }
 }
 
-fn freedom(start: &Start) -> Freedom {
+fn freedom(start: &Start, wand: &Wand) -> Freedom {
     let pose = [ROTATION, POSITION];
     if start.focal_known {
         return free(&pose);
+    }
+    if wand.span == Span::Point {
+        let mut some = free(&[ROTATION, POSITION, RADIAL]);
+        some[FOCAL] = true;
+        return some;
     }
     let mut all = free(&[ROTATION, POSITION, PRINCIPAL, RADIAL, TANGENTIAL]);
     all[SIXTH] = true;
@@ -195,7 +202,8 @@ fn rough_bundle(start: &Start, wand: &Wand, few: &[Vec<View>], first: &FirstRig,
     }
     let mut cameras = first.cameras.clone();
     if !start.focal_known {
-        for camera in &mut cameras {
+        let ideal = |c: &&mut Camera| !start.rig_known || coefficients(&c.lens).is_none();
+        for camera in cameras.iter_mut().filter(ideal) {
             camera.lens = Lens::BrownConrady { k: [0.0; 6], p: [0.0; 2] };
         }
     }
@@ -230,7 +238,7 @@ fn finish(wave: &mut Wave, options: &Options) {
     for _ in 0..3 {
         wave.noise_px = noise_of_used_px(&wave.bundle);
         weigh_hard(&mut wave.bundle, &wave.noise_px);
-        wave.converged = wave.bundle.adjust(20).converged;
+        wave.converged = wave.bundle.adjust(LAST_STEPS).converged;
     }
 }
 
