@@ -144,6 +144,12 @@ def calibrate_wand(
     left_out_every: int,
     most_poses: int,
 ) -> dict[str, Any]: ...
+def calibrate_points(
+    camera: dict[str, Any],
+    places_m: Sequence[Sequence[float]],
+    pixel: Sequence[Sequence[float]],
+    focal_known: bool,
+) -> dict[str, Any] | None: ...
 def refine_rig(
     rig: Rig,
     points_m: Sequence[Sequence[float]],

@@ -8,8 +8,10 @@ from markerloom import formats
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
 from markerloom.calibrate.check import check_rig
+from markerloom.calibrate.floor import origin_from_floor, origin_from_points
 from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
+from markerloom.calibrate.points import calibrate_points
 from markerloom.calibrate.refine import refine_rig
 from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
@@ -22,8 +24,7 @@ from markerloom.evaluate import (
     truth_without_views,
 )
 from markerloom.explain import CameraView, Explanation, TrackedTake, explain
-from markerloom.formats import read_observations, read_points, write_points
-from markerloom.formats.calib_toml import write as write_calibration
+from markerloom.formats import read_observations, read_points, write_calibration, write_points
 from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
 from markerloom.knock import knock
@@ -59,6 +60,7 @@ __all__ = [
     "Wand",
     "bench",
     "calibrate_origin",
+    "calibrate_points",
     "calibrate_wand",
     "check_rig",
     "convert",
@@ -69,6 +71,8 @@ __all__ = [
     "inspect",
     "knock",
     "make_scene",
+    "origin_from_floor",
+    "origin_from_points",
     "place_on_spheres",
     "read_calibration",
     "read_observations",

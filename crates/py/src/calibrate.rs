@@ -7,11 +7,12 @@ use crate::synth::described;
 use markerloom_core::calibrate::bootstrap::Start;
 use markerloom_core::calibrate::bundle::Sighting;
 use markerloom_core::calibrate::bundle::covariance::covariance;
+use markerloom_core::calibrate::points::from_points;
 use markerloom_core::calibrate::refine::refine;
 use markerloom_core::calibrate::wand::{Span, Wand};
 use markerloom_core::calibrate::wave::{Options, Wave, calibrate};
-use markerloom_core::camera::Lens;
-use nalgebra::Vector3;
+use markerloom_core::camera::{Camera, Lens};
+use nalgebra::{Vector2, Vector3};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -49,21 +50,20 @@ pub fn calibrate_wand<'py>(
     of_wave(py, &wave)
 }
 
+/// A camera with the coefficients of its lens, if it is OpenCV's.
+fn with_lens<'py>(py: Python<'py>, camera: &Camera) -> PyResult<Bound<'py, PyDict>> {
+    let out = described(py, camera)?;
+    if let Lens::BrownConrady { k, p } = &camera.lens {
+        out.set_item("coefficients", [k[0], k[1], p[0], p[1], k[2], k[3], k[4], k[5]])?;
+    }
+    Ok(out)
+}
+
 /// Everything of an adjusted wave as arrays.
 fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
     let bundle = &wave.bundle;
     let out = PyDict::new(py);
-    let cameras: Vec<_> = bundle
-        .cameras
-        .iter()
-        .map(|c| {
-            let d = described(py, c)?;
-            if let Lens::BrownConrady { k, p } = &c.lens {
-                d.set_item("coefficients", [k[0], k[1], p[0], p[1], k[2], k[3], k[4], k[5]])?;
-            }
-            Ok(d)
-        })
-        .collect::<PyResult<_>>()?;
+    let cameras: Vec<_> = bundle.cameras.iter().map(|c| with_lens(py, c)).collect::<PyResult<_>>()?;
     out.set_item("cameras", cameras)?;
     out.set_item("parameters_free", bundle.freedom.iter().map(|f| f.to_vec()).collect::<Vec<_>>())?;
     out.set_item("noise_px", &wave.noise_px)?;
@@ -75,6 +75,10 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
     out.set_item("pose_freedom", bundle.wand.pose_freedom())?;
     let places: Vec<f64> = bundle.poses.iter().flat_map(|p| [p.position_m.x, p.position_m.y, p.position_m.z]).collect();
     out.set_item("pose_position_m", table(py, places, 3)?)?;
+    let turns: Vec<f64> = bundle.poses.iter().flat_map(|p| p.rotation.transpose().as_slice().to_vec()).collect();
+    out.set_item("pose_rotation", turns.into_pyarray(py).reshape([bundle.poses.len(), 3, 3])?)?;
+    let markers: Vec<f64> = bundle.wand.markers_m.iter().flat_map(|m| [m.x, m.y, m.z]).collect();
+    out.set_item("markers_m", table(py, markers, 3)?)?;
     out.set_item("pose_frame", wave.frame.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
     out.set_item("dot", wave.dot.iter().map(|f| *f as i64).collect::<Vec<_>>().into_pyarray(py))?;
     let index =
@@ -96,6 +100,33 @@ fn of_wave<'py>(py: Python<'py>, wave: &Wave) -> PyResult<Bound<'py, PyDict>> {
         out.set_item("covariance", table(py, matrix.iter().copied().collect(), n)?)?;
     }
     Ok(out)
+}
+
+/// One camera from markers at known places (m) and their pixels: camera, noise, residuals, which are used, covariance.
+#[pyfunction]
+pub fn calibrate_points<'py>(
+    py: Python<'py>,
+    camera: Bound<'py, PyDict>,
+    places_m: Vec<[f64; 3]>,
+    pixel: Vec<[f64; 2]>,
+    focal_known: bool,
+) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let start = conv::camera(&camera)?;
+    let known: Vec<_> =
+        places_m.iter().zip(&pixel).map(|(place, pixel)| (Vector3::from(*place), Vector2::from(*pixel))).collect();
+    let Some(solved) = py.detach(|| from_points(&start, &known, focal_known)) else { return Ok(None) };
+    let out = PyDict::new(py);
+    out.set_item("camera", with_lens(py, &solved.camera)?)?;
+    out.set_item("noise_px", solved.noise_px)?;
+    let off = |r: &Option<Vector2<f64>>| r.map_or([f64::NAN; 2], Into::into);
+    out.set_item("residual_px", table(py, solved.residual_px.iter().flat_map(off).collect(), 2)?)?;
+    out.set_item("used", solved.used.into_pyarray(py))?;
+    out.set_item("parameters_free", solved.freedom.to_vec())?;
+    if let Some(matrix) = solved.covariance {
+        let n = matrix.nrows();
+        out.set_item("covariance", table(py, matrix.iter().copied().collect(), n)?)?;
+    }
+    Ok(Some(out))
 }
 
 /// Camera poses adjusted to points that are seen: cameras, noise (px). `point` and `camera` index each pixel.

@@ -28,6 +28,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;
+    module.add_function(wrap_pyfunction!(calibrate::calibrate_points, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::refine_rig, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;

@@ -166,8 +166,7 @@ impl PyTracker {
         }
         let mut scenes: Vec<(usize, &Scene)> = self.past.iter().map(|(from, scene)| (*from, scene)).collect();
         scenes.push((self.scene_from, self.tracker.scene()));
-        let kept =
-            py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
+        let kept = py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
         arrays(py, &kept, &self.starts, false)
     }
 
@@ -206,8 +205,7 @@ impl PyTracker {
                 .filter(|s| s.confirmed)
                 .map(|s| Placed { track: s.track, place: s.point, dots: &s.dots })
                 .collect();
-            let found =
-                self.watch.push(self.tracker.moment().0, &placed, dots, &self.tracker.scene().model.noise);
+            let found = self.watch.push(self.tracker.moment().0, &placed, dots, &self.tracker.scene().model.noise);
             if self.heal {
                 for moved in &found {
                     self.replace(moved.camera, moved.now.clone(), self.recorded.len() + 1);

@@ -61,7 +61,7 @@ def wand(
     made = calibrate_wand(
         take,
         read_wand(wand),
-        image_sizes=_sizes(image_size, image_sizes, list(take.camera_ids)),
+        image_sizes=sizes(image_size, image_sizes, list(take.camera_ids)),
         intrinsics=None if intrinsics is None else formats.read_calibration(intrinsics),
         start=None if start is None else formats.read_calibration(start),
         cameras=None if cameras is None else [c.strip() for c in cameras.split(",")],
@@ -110,7 +110,8 @@ def _distance(text: str) -> tuple[str, str, float]:
         raise typer.BadParameter(f"'{text}' is not A,B=MM", param_hint="--camera-distance") from None
 
 
-def _sizes(one: str | None, table: Path | None, ids: list[str]) -> dict[str, tuple[float, float]] | None:
+def sizes(one: str | None, table: Path | None, ids: list[str]) -> dict[str, tuple[float, float]] | None:
+    """Image sizes by camera, as the options state them."""
     if table is not None:
         try:
             rows = list(csv.DictReader(StringIO(read_text(table))))

@@ -14,6 +14,8 @@ LEAST_COVERAGE = 0.10
 """Part of the image (of a 12 x 12 grid, over the part any wand can be seen in) that the wand must have visited."""
 LEAST_FITTING = 0.8
 """Part of a camera's whole views of the wand that must fit what the other cameras saw."""
+TOO_FAST = 3.0
+"""Residuals in the fastest quarter of a wave over those in the slowest."""
 WEAK = 0.005
 """A camera's place should be known to this part of its distance from the middle of the rig."""
 STANDS_OUT = 5.0
@@ -39,6 +41,7 @@ def refusals(rig: Rig, report: dict[str, Any], solved: dict[str, Any], reached_p
     if not solved["converged"]:
         reasons.append("the adjustment did not settle: wave longer, over the whole volume, in all directions")
     reasons += _of_lengths(report)
+    reasons += _of_speed(report["speed"])
     return reasons
 
 
@@ -105,6 +108,15 @@ def _folded(rig: Rig, index: int, reached_px: np.ndarray) -> bool:
     camera = rig.cameras[index]
     farther = np.array(camera.principal_px) + 1.05 * (reached_px - np.array(camera.principal_px))
     return not bool(np.isfinite(rig.normalise(index, farther)).all())
+
+
+def _of_speed(speed: dict[str, float]) -> list[str]:
+    if speed["fast_px"] > TOO_FAST * speed["slow_px"] and speed["fast_px"] > LEAST_RESIDUAL_PX:
+        return [
+            f"the wand was waved too fast: dots are off by {speed['fast_px']:.2f} px where it is fast, by "
+            f"{speed['slow_px']:.2f} px where it is slow: wave slower, expose shorter, or check that cameras are in step"
+        ]
+    return []
 
 
 def _of_lengths(report: dict[str, Any]) -> list[str]:

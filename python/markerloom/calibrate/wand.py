@@ -268,10 +268,32 @@ def _report(
         "wand_length_mm": _lengths(solved["left_out_lengths_m"], wand),
         "scale_error": _scale_error(solved["left_out_lengths_m"]),
         "cameras": per_camera,
+        "speed": _speed(solved),
         "unjoined": [ids[i] for i in solved["missing"]],
         "whole_views": dict(zip(ids, solved["whole_views"], strict=True)),
         "still_dots": dict(zip(ids, solved["still_dots"], strict=True)),
     }
+
+
+def _speed(solved: dict[str, Any]) -> dict[str, float]:
+    """Speed of the wand (m per frame), and residuals (rms, px) in the slowest and in the fastest quarter of its poses.
+
+    Dots of a fast wand are smeared, and err along the smear where cameras do not expose at the same time.
+    """
+    frame, place = solved["pose_frame"], solved["pose_position_m"]
+    speed = np.full(len(frame), np.nan)
+    following = np.flatnonzero(np.diff(frame) == 1)
+    speed[following] = np.linalg.norm(place[following + 1] - place[following], axis=1)
+    used = solved["used"]
+    squares = np.sum(np.nan_to_num(solved["residual_px"][used]) ** 2, axis=1) / 2.0
+    count = np.bincount(solved["pose"][used], minlength=len(frame))
+    mean = np.bincount(solved["pose"][used], squares, minlength=len(frame)) / np.maximum(count, 1)
+    known = np.isfinite(speed) & (count > 0)
+    if known.sum() < 40:
+        return {"m_per_frame": float("nan"), "slow_px": float("nan"), "fast_px": float("nan")}
+    low, high = np.quantile(speed[known], [0.25, 0.75])
+    slow, fast = (float(np.sqrt(mean[known & side].mean())) for side in (speed <= low, speed >= high))
+    return {"m_per_frame": float(np.median(speed[known])), "slow_px": slow, "fast_px": fast}
 
 
 def _of_camera(

@@ -18,6 +18,7 @@ from markerloom.formats import (
     trc,
     x2d,
     xcp,
+    xcp_write,
 )
 from markerloom.formats.files import read_text
 from markerloom.observations import Observations
@@ -26,6 +27,7 @@ from markerloom.rig import Rig
 
 TABLE_ENDINGS = (".parquet", ".csv", ".csv.gz")
 CALIBRATIONS = (".xcp", ".toml", ".qca.txt", ".mcal")
+CALIBRATIONS_WRITTEN = (".toml", ".xcp")
 OBSERVATIONS = (".x2d", *TABLE_ENDINGS)
 POINTS_READ = (".c3d", ".trc", ".tsv", *TABLE_ENDINGS)
 POINTS_WRITTEN = (".c3d", ".trc", ".parquet", ".csv")
@@ -54,11 +56,19 @@ def read_calibration(path: str | Path, *, units: str = "m") -> Rig:
     raise InputError(f"calibrations are {', '.join(CALIBRATIONS)}; '{kind}' is none of them ({path})")
 
 
+def check_calibration_output(path: str | Path) -> None:
+    """Refuse at once a file as which no calibration can be written."""
+    if ending(path) not in CALIBRATIONS_WRITTEN:
+        raise InputError(f"calibrations are written as {', '.join(CALIBRATIONS_WRITTEN)} ({path})")
+
+
 def write_calibration(rig: Rig, path: str | Path) -> None:
-    """Write a rig as Calib.toml."""
-    if ending(path) != ".toml":
-        raise InputError(f"calibrations are written as .toml ({path})")
-    calib_toml.write(rig, path)
+    """Write a rig as Calib.toml or .xcp."""
+    check_calibration_output(path)
+    if ending(path) == ".xcp":
+        xcp_write.write(rig, path)
+    else:
+        calib_toml.write(rig, path)
 
 
 def read_observations(path: str | Path) -> Observations:

@@ -32,6 +32,9 @@ pub enum NoRig {
     /// No two cameras saw the wand together often enough.
     #[error("no two cameras see the whole wand together often enough: {0} frames at most, {FEWEST_COMMON} needed")]
     NoPair(usize),
+    /// Most views show more than one.
+    #[error("{0} views show two wands or more: wave one at a time, and cover the other")]
+    Several(usize),
     /// Two cameras see it together, but no camera geometry explains what they see with a wand of constant length.
     #[error("no pair of cameras sees a rigid object of the wand's shape")]
     NoGeometry,
@@ -375,14 +378,7 @@ fn bundle_of(start: &Start, wand: &Wand, frames: &[Vec<View>], rig: &FirstRig) -
         }
         poses.push(*at);
     }
-    Bundle {
-        cameras: rig.cameras.clone(),
-        freedom: freedoms,
-        wand: wand.clone(),
-        poses,
-        poses_held: false,
-        sightings,
-    }
+    Bundle { cameras: rig.cameras.clone(), freedom: freedoms, wand: wand.clone(), poses, poses_held: false, sightings }
 }
 
 /// The markers of a view as sightings of a pose.

@@ -20,6 +20,17 @@ const CLEARLY: f64 = 3.0;
 /// With more dots than this in a view, namings by chance come too often (and cost the fourth power).
 const MOST_DOTS: usize = 24;
 
+/// What is in a view.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Found {
+    /// The whole object is not there, or it is not clear which dot is which marker.
+    Nothing,
+    /// The dot of each marker.
+    Whole(Vec<usize>),
+    /// Two objects or more, of different dots.
+    Several,
+}
+
 /// An object prepared for looking: basis markers and where the others lie in terms of them.
 pub struct Pattern {
     basis: Vec<usize>,
@@ -44,23 +55,33 @@ impl Pattern {
         Self { basis, others, local, ambiguous: wand.other_naming().is_some() }
     }
 
-    /// The dot of each marker, if the whole object and no second naming of it is in the view.
-    pub fn find(&self, dots: &[Vector2<f64>]) -> Option<Vec<usize>> {
+    /// What is in a view.
+    pub fn find(&self, dots: &[Vector2<f64>]) -> Found {
         let markers = self.local.len();
         if dots.len() < markers || dots.len() > MOST_DOTS {
-            return None;
+            return Found::Nothing;
         }
         if self.others.is_empty() && self.local.len() <= 2 {
-            return (dots.len() == markers).then(|| (0..markers).collect());
+            return if dots.len() == markers { Found::Whole((0..markers).collect()) } else { Found::Nothing };
         }
         let mut found: Vec<(f64, Vec<usize>)> = Vec::new();
         let mut chosen = Vec::with_capacity(self.basis.len());
         self.lay(dots, &mut chosen, &mut found);
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (best, naming) = found.first()?;
+        let Some((best, naming)) = found.first() else { return Found::Nothing };
         let same = |other: &[usize]| self.ambiguous && other.iter().rev().eq(naming.iter());
-        let rival = found[1..].iter().find(|(_, other)| other != naming && !same(other));
-        rival.is_none_or(|(misfit, _)| *misfit > CLEARLY * best).then(|| naming.clone())
+        let rivals: Vec<&Vec<usize>> = found[1..]
+            .iter()
+            .filter(|(misfit, other)| *misfit <= CLEARLY * best && other != naming && !same(other))
+            .map(|(_, other)| other)
+            .collect();
+        if rivals.iter().any(|other| other.iter().all(|dot| !naming.contains(dot))) {
+            Found::Several
+        } else if rivals.is_empty() {
+            Found::Whole(naming.clone())
+        } else {
+            Found::Nothing
+        }
     }
 
     /// Lays the basis on every ordered choice of dots.
@@ -202,9 +223,9 @@ mod tests {
                 wand.markers_m.iter().map(|p| camera.project(&(turn * p + at)).unwrap() + noise(&mut random)).collect();
             dots.extend((0..clutter).map(|_| Vector2::new(random.between(0.0, 1024.0), random.between(0.0, 1024.0))));
             match pattern.find(&dots) {
-                Some(naming) if naming.iter().copied().eq(0..wand.markers_m.len()) => right += 1,
-                Some(_) => wrong += 1,
-                None => {}
+                Found::Whole(naming) if naming.iter().copied().eq(0..wand.markers_m.len()) => right += 1,
+                Found::Whole(_) => wrong += 1,
+                Found::Nothing | Found::Several => {}
             }
         }
         (f64::from(right) / f64::from(tries), f64::from(wrong) / f64::from(tries))
@@ -214,6 +235,17 @@ mod tests {
     fn a_t_wand_is_found_among_false_dots() {
         let (right, wrong) = named(&t_wand(), 5, 0.2);
         assert!(right > 0.9 && wrong < 0.01, "{right} {wrong}");
+    }
+
+    #[test]
+    fn two_wands_are_told_to_be_two() {
+        let camera = looking_at(0, Vector3::new(3.0, 0.0, 1.0), Vector3::zeros(), [1024.0, 1024.0], 1100.0);
+        let wand = t_wand();
+        let at = |x: f64| wand.markers_m.iter().map(move |p| Vector3::new(0.0, p.x + x, p.y));
+        let dots: Vec<Vector2<f64>> = at(-0.4).chain(at(0.4)).map(|p| camera.project(&p).unwrap()).collect();
+        assert_eq!(Pattern::new(&wand).find(&dots), Found::Several);
+        assert_eq!(Pattern::new(&wand).find(&dots[..5]), Found::Whole((0..5).collect()));
+        assert_eq!(Pattern::new(&wand).find(&dots[..4]), Found::Nothing);
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub mod bundle;
 pub mod epipolar;
 pub mod gather;
 pub mod identify;
+pub mod points;
 pub mod pose;
 pub mod refine;
 pub mod resection;

@@ -80,7 +80,7 @@ pub fn refine(camera: &Camera, known: &[Known], focal_known: bool) -> Camera {
 }
 
 /// The linear solution, decomposed and made a camera with square pixels.
-fn linear(start: &Camera, known: &[Known], focal_known: bool) -> Option<Camera> {
+pub fn linear(start: &Camera, known: &[Known], focal_known: bool) -> Option<Camera> {
     if known.len() < 6 {
         return None;
     }

@@ -147,14 +147,18 @@ impl Watch {
     fn expected(&self, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Vec<Expected>> {
         let mut expected: Vec<Vec<Expected>> = self.cameras.iter().map(|_| Vec::new()).collect();
         for marker in placed.iter().filter(|p| p.dots.len() >= 2) {
-            let rays: Vec<Ray> =
-                marker.dots.iter().filter_map(|&d| Ray::new(&self.cameras, &dots[d as usize], marker, noise_px)).collect();
+            let rays: Vec<Ray> = marker
+                .dots
+                .iter()
+                .filter_map(|&d| Ray::new(&self.cameras, &dots[d as usize], marker, noise_px))
+                .collect();
             for (camera, one) in self.cameras.iter().enumerate() {
                 let others = rays.iter().filter(|r| r.camera != camera);
                 if others.clone().count() >= 2
                     && let Some((place, covariance)) = without(others, &marker.place)
                     && let Some((pixel, by_place)) = one.project_linear(&place)
-                    && (by_place * covariance * by_place.transpose()).trace() < 2.0 * (UNSURE * noise_px[camera]).powi(2)
+                    && (by_place * covariance * by_place.transpose()).trace()
+                        < 2.0 * (UNSURE * noise_px[camera]).powi(2)
                 {
                     expected[camera].push(Expected { track: marker.track, place, pixel });
                 }
@@ -246,8 +250,7 @@ impl Eye {
             let middle = |half: &[(u32, usize, Vector2<f64>)]| middle(half.iter().map(|s| s.2));
             enough.then(|| (middle(&before), middle(&after)))
         };
-        let own: Vec<(Vector2<f64>, Vector2<f64>)> =
-            by_track.chunk_by(|a, b| a.0 == b.0).filter_map(halves).collect();
+        let own: Vec<(Vector2<f64>, Vector2<f64>)> = by_track.chunk_by(|a, b| a.0 == b.0).filter_map(halves).collect();
         if own.len() < FEWEST_MARKERS {
             return None;
         }

@@ -2,10 +2,12 @@
 
 use super::bootstrap::{FirstRig, NoRig, Start, first_rig, sightings_of};
 use super::bundle::Bundle;
-use super::bundle::camera::{FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, coefficients, free};
+use super::bundle::camera::{
+    FOCAL, Freedom, HELD, POSITION, PRINCIPAL, RADIAL, ROTATION, SIXTH, TANGENTIAL, coefficients, free,
+};
 use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
 use super::gather::{Gathered, Seen, gather};
-use super::identify::Pattern;
+use super::identify::{Found, Pattern};
 use super::pose::View;
 use super::shape;
 use super::still::still;
@@ -67,6 +69,9 @@ pub fn calibrate(
 ) -> Result<Wave, NoRig> {
     let fixed = still_dots(start.cameras.len(), dots, ranges);
     let found = whole_views(start.cameras.len(), wand, dots, ranges, &fixed);
+    if found.several > found.count.iter().sum() {
+        return Err(NoRig::Several(found.several));
+    }
     let mut views = found.views;
     let chosen = bootstrap_frames(start.cameras.len(), &views);
     let mut few: Vec<Vec<View>> = chosen.iter().map(|&f| views[f].clone()).collect();
@@ -146,29 +151,38 @@ fn still_dots(cameras: usize, dots: &[Dot], ranges: &[Range<usize>]) -> Vec<bool
     fixed
 }
 
-struct Found {
+struct WholeViews {
     views: Vec<Vec<View>>,
     count: Vec<usize>,
+    /// Views in which there are two wands or more.
+    several: usize,
 }
 
 /// Every view in which the whole wand is found.
-fn whole_views(cameras: usize, wand: &Wand, dots: &[Dot], ranges: &[Range<usize>], fixed: &[bool]) -> Found {
+fn whole_views(cameras: usize, wand: &Wand, dots: &[Dot], ranges: &[Range<usize>], fixed: &[bool]) -> WholeViews {
     let pattern = Pattern::new(wand);
-    let of_frame = |range: &Range<usize>| -> Vec<View> {
+    let of_frame = |range: &Range<usize>| -> (Vec<View>, usize) {
         let mut by_camera = vec![Vec::new(); cameras];
         for i in range.clone().filter(|&i| !fixed[i]) {
             by_camera[dots[i].camera].push(Vector2::from(dots[i].pixel));
         }
-        let view = |(camera, own): (usize, &Vec<Vector2<f64>>)| {
-            let naming = pattern.find(own)?;
-            Some(View { camera, pixels: naming.into_iter().map(|d| Some(own[d])).collect() })
-        };
-        by_camera.iter().enumerate().filter_map(view).collect()
+        let (mut views, mut several) = (Vec::new(), 0);
+        for (camera, own) in by_camera.iter().enumerate() {
+            match pattern.find(own) {
+                Found::Whole(naming) => {
+                    views.push(View { camera, pixels: naming.into_iter().map(|d| Some(own[d])).collect() });
+                }
+                Found::Several => several += 1,
+                Found::Nothing => {}
+            }
+        }
+        (views, several)
     };
-    let views: Vec<Vec<View>> = ranges.par_iter().map(of_frame).collect();
+    let (views, several): (Vec<Vec<View>>, Vec<usize>) = ranges.par_iter().map(of_frame).unzip();
+    let several = several.into_iter().sum();
     let mut count = vec![0; cameras];
     views.iter().flatten().for_each(|v| count[v.camera] += 1);
-    Found { views, count }
+    WholeViews { views, count, several }
 }
 
 /// Frames spread over the wave, and more for cameras that see little.

@@ -10,12 +10,12 @@ use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
 
 /// Covariance of all cameras' parameters (15 each), where the weights are true inverse variances.
 ///
-/// `scale_known`: whether a length fixes the scale. `held`: cameras all of whose parameters are held define the world
-/// instead; then nothing is aligned. `None` where the sightings do not determine the cameras.
+/// `scale_known`: whether a length fixes the scale. Cameras or poses that are held define the world instead; then
+/// nothing is aligned. `None` where the sightings do not determine the cameras.
 pub fn covariance(bundle: &Bundle, scale_known: bool) -> Option<DMatrix<f64>> {
     let information = bundle.information();
     let n = bundle.cameras.len();
-    let held = (0..n).any(|i| !bundle.freedom[i][3]);
+    let held = bundle.poses_held || (0..n).any(|i| !bundle.freedom[i][3]);
     let scale = DMatrix::from_diagonal(&information.diagonal().map(|d| 1.0 / d.max(1e-300).sqrt()));
     let scaled = &scale * &information * &scale;
     if held {

@@ -131,8 +131,8 @@ impl Bundle {
     pub fn redundancy_factor(&self) -> f64 {
         let measurements = 2.0 * self.sightings.iter().filter(|s| s.weight > 0.0).count() as f64;
         let cameras = self.freedom.iter().flatten().filter(|f| **f).count();
-        let parameters = (cameras + self.wand.pose_freedom() * self.poses.len()).saturating_sub(6) as f64;
-        measurements / (measurements - parameters).max(1.0)
+        let poses = if self.poses_held { 0 } else { (self.wand.pose_freedom() * self.poses.len()).saturating_sub(6) };
+        measurements / (measurements - (cameras + poses) as f64).max(1.0)
     }
 
     /// Which parameters of a pose are held: the turn of a line about itself, any turn of a point.
