@@ -74,3 +74,36 @@ def test_an_object_upside_down_would_put_the_cameras_below_the_floor(rig: ml.Rig
 def test_markers_on_a_line_fix_no_world(rig: ml.Rig):
     with pytest.raises(ml.InputError, match="off one line"):
         ml.calibrate_origin(rig, seen(rig, PLACES_M), ml.read_wand("line-500"))
+
+
+def test_three_named_points_give_the_world(rig: ml.Rig):
+    other = elsewhere(rig)
+    turn = Rotation.from_rotvec([0.9, -0.4, 2.0]).as_matrix()
+    there = (PLACES_M[:3] - [1.0, -2.0, 0.7]) @ turn.T
+    frame, label = np.repeat(np.arange(4), 3), np.tile(["O", "X", "Y"], 4)
+    points = ml.Points.of(frame, np.tile([0, 1, 2], 4), np.tile(1000.0 * there, (4, 1)), label=label)
+    placed, report = ml.origin_from_points(other, points, ("O", "X", "Y"), height_m=0.02)
+    assert report["points_mm"]["X"] == pytest.approx([400.0, 0.0, 20.0], abs=1e-6)
+    for found, true in zip(placed.cameras, rig.cameras, strict=True):
+        assert np.linalg.norm(found.position_m - true.position_m) < 1e-9
+    with pytest.raises(ml.InputError, match="exchange the last two"):
+        ml.origin_from_points(other, points, ("O", "Y", "X"))
+    with pytest.raises(ml.InputError, match="no point is labelled 'Z'; labels are O, X, Y"):
+        ml.origin_from_points(other, points, ("O", "X", "Z"))
+
+
+def test_markers_on_the_floor_level_the_world_and_leave_its_heading(rig: ml.Rig):
+    tilted = Rotation.from_rotvec([0.05, -0.03, 0.0]).as_matrix()
+    crooked = replace(rig, cameras=tuple(moved(list(rig.cameras), tilted, np.array([0.0, 0.0, -0.2]))))
+    flat = np.array([[0.6, 0.1, 0.007], [-0.7, 0.3, 0.007], [0.1, -0.8, 0.007], [0.2, 0.5, 0.007], [0.0, 0.0, 0.007]])
+    placed, report = ml.origin_from_floor(crooked, seen(rig, flat), height_m=0.007)
+    assert report["markers"] == 5
+    assert report["misfit_mm"] < 0.5
+    assert report["tilt_deg"] == pytest.approx(np.degrees(np.hypot(0.05, 0.03)), abs=0.05)
+    for found, true in zip(placed.cameras, rig.cameras, strict=True):
+        assert found.position_m[2] == pytest.approx(true.position_m[2], abs=0.003)
+        assert np.linalg.norm(found.position_m - true.position_m) < 0.03
+    with pytest.raises(ml.InputError, match="in no plane"):
+        ml.origin_from_floor(crooked, seen(rig, flat + np.outer([0.0, 0.3, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0])))
+    with pytest.raises(ml.InputError, match="on a line"):
+        ml.origin_from_floor(crooked, seen(rig, flat * [1.0, 0.0, 1.0]))

@@ -18,8 +18,7 @@ def of_run(inputs: list[str | Path], options: dict[str, Any], result: dict[str, 
     from markerloom import __version__
 
     described = [{"name": Path(p).name, "sha256": hashlib.sha256(Path(p).read_bytes()).hexdigest()} for p in inputs]
-    plain = {key: str(value) if isinstance(value, Path) else value for key, value in options.items()}
-    head = {"markerloom_version": __version__, "inputs": described, "options": plain}
+    head = {"markerloom_version": __version__, "inputs": described, "options": options}
     return {**head, "frames": 0, "warnings": [], **result}
 
 
@@ -33,6 +32,8 @@ def _plain(value: Any) -> Any:
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

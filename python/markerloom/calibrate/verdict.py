@@ -14,8 +14,8 @@ LEAST_COVERAGE = 0.10
 """Part of the image (of a 12 x 12 grid, over the part any wand can be seen in) that the wand must have visited."""
 LEAST_FITTING = 0.8
 """Part of a camera's whole views of the wand that must fit what the other cameras saw."""
-TOO_FAST = 3.0
-"""Residuals in the fastest quarter of a wave over those in the slowest."""
+TOO_FAST = 2.0
+"""Residuals along the motion of fast dots over those across."""
 WEAK = 0.005
 """A camera's place should be known to this part of its distance from the middle of the rig."""
 STANDS_OUT = 5.0
@@ -27,6 +27,9 @@ FOLDED = "the lens model folds over where the wand was seen"
 def refusals(rig: Rig, report: dict[str, Any], solved: dict[str, Any], reached_px: dict[str, np.ndarray]) -> list[str]:
     """Why this calibration is refused; empty if it is good. ``reached_px``: where each camera's dots lay (n, 2)."""
     reasons = [_unjoined(camera, report) for camera in report["unjoined"]]
+    too_fast = _of_speed(report["speed"])
+    if too_fast:
+        return [*reasons, *too_fast]  # whatever else is wrong follows from it
     reasons += _standing_out(report)
     for camera in rig.cameras:
         if camera.id in report["unjoined"]:
@@ -41,7 +44,6 @@ def refusals(rig: Rig, report: dict[str, Any], solved: dict[str, Any], reached_p
     if not solved["converged"]:
         reasons.append("the adjustment did not settle: wave longer, over the whole volume, in all directions")
     reasons += _of_lengths(report)
-    reasons += _of_speed(report["speed"])
     return reasons
 
 
@@ -111,10 +113,11 @@ def _folded(rig: Rig, index: int, reached_px: np.ndarray) -> bool:
 
 
 def _of_speed(speed: dict[str, float]) -> list[str]:
-    if speed["fast_px"] > TOO_FAST * speed["slow_px"] and speed["fast_px"] > LEAST_RESIDUAL_PX:
+    if speed["along_px"] > TOO_FAST * speed["across_px"] and speed["along_px"] > LEAST_RESIDUAL_PX:
         return [
-            f"the wand was waved too fast: dots are off by {speed['fast_px']:.2f} px where it is fast, by "
-            f"{speed['slow_px']:.2f} px where it is slow: wave slower, expose shorter, or check that cameras are in step"
+            f"the wand was waved too fast: its dots move by {speed['px_per_frame']:.0f} px per frame and are off by "
+            f"{speed['along_px']:.2f} px along their motion, {speed['across_px']:.2f} px across: wave slower, expose "
+            "shorter, or bring the cameras in step"
         ]
     return []
 

@@ -25,6 +25,8 @@ LEFT_OUT_EVERY = 10
 MOST_POSES = 6000
 PARAMETERS = 15
 """Adjusted parameters of a camera."""
+FEWEST_SPEEDS = 40
+"""Fewer dots that are seen in the next frame too do not tell how residuals grow with speed."""
 GRID = 12
 """Cells along each side of an image in which coverage is counted."""
 
@@ -268,32 +270,36 @@ def _report(
         "wand_length_mm": _lengths(solved["left_out_lengths_m"], wand),
         "scale_error": _scale_error(solved["left_out_lengths_m"]),
         "cameras": per_camera,
-        "speed": _speed(solved),
+        "speed": _speed(solved, dots.pixel[solved["dot"]]),
         "unjoined": [ids[i] for i in solved["missing"]],
         "whole_views": dict(zip(ids, solved["whole_views"], strict=True)),
         "still_dots": dict(zip(ids, solved["still_dots"], strict=True)),
     }
 
 
-def _speed(solved: dict[str, Any]) -> dict[str, float]:
-    """Speed of the wand (m per frame), and residuals (rms, px) in the slowest and in the fastest quarter of its poses.
+def _speed(solved: dict[str, Any], pixels: Array) -> dict[str, float]:
+    """How fast dots move (px per frame, median), and the residuals of the faster half along and across the motion (px).
 
-    Dots of a fast wand are smeared, and err along the smear where cameras do not expose at the same time.
+    Dots of a fast wand are smeared, and cameras that do not expose at the same time see them elsewhere: both along the
+    motion only. Dots that lie too far off to be used count too.
     """
-    frame, place = solved["pose_frame"], solved["pose_position_m"]
-    speed = np.full(len(frame), np.nan)
-    following = np.flatnonzero(np.diff(frame) == 1)
-    speed[following] = np.linalg.norm(place[following + 1] - place[following], axis=1)
-    used = solved["used"]
-    squares = np.sum(np.nan_to_num(solved["residual_px"][used]) ** 2, axis=1) / 2.0
-    count = np.bincount(solved["pose"][used], minlength=len(frame))
-    mean = np.bincount(solved["pose"][used], squares, minlength=len(frame)) / np.maximum(count, 1)
-    known = np.isfinite(speed) & (count > 0)
-    if known.sum() < 40:
-        return {"m_per_frame": float("nan"), "slow_px": float("nan"), "fast_px": float("nan")}
-    low, high = np.quantile(speed[known], [0.25, 0.75])
-    slow, fast = (float(np.sqrt(mean[known & side].mean())) for side in (speed <= low, speed >= high))
-    return {"m_per_frame": float(np.median(speed[known])), "slow_px": slow, "fast_px": fast}
+    frame = solved["pose_frame"][solved["pose"]]
+    order = np.lexsort([frame, solved["marker"], solved["camera"]])
+    same = (np.diff(solved["camera"][order]) == 0) & (np.diff(solved["marker"][order]) == 0)
+    same &= np.diff(frame[order]) == 1
+    motion = np.diff(pixels[order], axis=0)[same]
+    off = solved["residual_px"][order][:-1][same]
+    speed = np.linalg.norm(motion, axis=1)
+    good = np.isfinite(off).all(axis=1) & (speed > 0)
+    if good.sum() < FEWEST_SPEEDS:
+        return {"px_per_frame": float("nan"), "along_px": float("nan"), "across_px": float("nan")}
+    motion, off, speed = motion[good], off[good], speed[good]
+    fast = speed >= np.median(speed)
+    ahead = (motion / speed[:, None])[fast]
+    along = np.abs(np.sum(off[fast] * ahead, axis=1))
+    across = np.abs(off[fast, 0] * ahead[:, 1] - off[fast, 1] * ahead[:, 0])
+    sides = [1.4826 * float(np.median(side)) for side in (along, across)]
+    return {"px_per_frame": float(np.median(speed)), "along_px": sides[0], "across_px": sides[1]}
 
 
 def _of_camera(

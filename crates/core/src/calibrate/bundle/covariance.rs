@@ -15,13 +15,15 @@ use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
 pub fn covariance(bundle: &Bundle, scale_known: bool) -> Option<DMatrix<f64>> {
     let information = bundle.information();
     let n = bundle.cameras.len();
-    let held = bundle.poses_held || (0..n).any(|i| !bundle.freedom[i][3]);
+    let sees = |i: usize| bundle.sightings.iter().any(|s| s.camera == i && s.weight > 0.0);
+    let seeing: Vec<usize> = (0..n).filter(|i| sees(*i)).collect();
+    let held = bundle.poses_held || seeing.iter().any(|i| !bundle.freedom[*i][3]);
     let scale = DMatrix::from_diagonal(&information.diagonal().map(|d| 1.0 / d.max(1e-300).sqrt()));
     let scaled = &scale * &information * &scale;
     if held {
         return Some(clear_held(bundle, &scale * Cholesky::new(scaled)?.inverse() * &scale));
     }
-    let (freedoms, constraints) = gauge(bundle, scale_known);
+    let (freedoms, constraints) = gauge(bundle, &seeing, scale_known);
     let scaled_constraints = &constraints * &scale;
     let weight = 1.0 / scaled_constraints.norm_squared().max(1e-300);
     let fixed = scaled + scaled_constraints.transpose() * &scaled_constraints * weight;
@@ -45,14 +47,17 @@ fn clear_held(bundle: &Bundle, mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     matrix
 }
 
-/// Motions of the whole world (columns), and the constraints (rows) by which the camera centres hold it.
-fn gauge(bundle: &Bundle, scale_known: bool) -> (DMatrix<f64>, DMatrix<f64>) {
+/// Motions of the whole world (columns), and the constraints (rows) by which the centres of the cameras that see
+/// something hold it.
+fn gauge(bundle: &Bundle, seeing: &[usize], scale_known: bool) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = bundle.cameras.len();
     let kinds = if scale_known { 6 } else { 7 };
-    let middle = bundle.cameras.iter().map(|c| c.position_m).sum::<Vector3<f64>>() / n as f64;
+    let centers = seeing.iter().map(|i| bundle.cameras[*i].position_m);
+    let middle = centers.sum::<Vector3<f64>>() / seeing.len() as f64;
     let mut freedoms = DMatrix::zeros(n * PARAMETERS, kinds);
     let mut constraints = DMatrix::zeros(kinds, n * PARAMETERS);
-    for (i, camera) in bundle.cameras.iter().enumerate() {
+    for &i in seeing {
+        let camera = &bundle.cameras[i];
         let at = i * PARAMETERS;
         let arm = camera.position_m - middle;
         let turn: Matrix3<f64> = -arm.cross_matrix();
