@@ -53,8 +53,8 @@ const STEP_NOISES: f64 = 2.0;
 const STEP_ERRORS: f64 = 8.0;
 /// A moved camera's dots are looked for within this part of the image's diagonal.
 const REACH: f64 = 0.03;
-/// Places compared when a camera's dots are searched for.
-const MOST_VOTING: usize = 60;
+/// Markers looked at in a frame, always the same ones; more would tell hardly more.
+const MOST_MARKERS: usize = 60;
 /// The pose of a moved camera is solved again each time the dots have doubled, up to so many.
 const MOST_PAIRS: usize = 6000;
 /// Weight of one frame in what share of its places a camera usually has a dot of.
@@ -72,6 +72,8 @@ struct Seen {
 struct Look {
     frame: i64,
     seen: Vec<Seen>,
+    /// Median offset (px).
+    middle: Vector2<f64>,
 }
 
 /// A place by the other cameras and where a camera should see it.
@@ -122,8 +124,9 @@ impl Watch {
     pub fn push(&mut self, frame: i64, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Moved> {
         let expected = self.expected(placed, dots, noise_px);
         for (camera, expected) in expected.into_iter().enumerate() {
-            let pixels: Vec<Vector2<f64>> =
+            let mut pixels: Vec<Vector2<f64>> =
                 dots.iter().filter(|d| d.camera == camera).map(|d| Vector2::from(d.pixel)).collect();
+            pixels.sort_by(|a, b| a.x.total_cmp(&b.x));
             self.look(camera, frame, &expected, &pixels, noise_px[camera]);
         }
         let mut found: Vec<Moved> = (0..self.eyes.len()).filter_map(|c| self.settle(c)).collect();
@@ -146,16 +149,19 @@ impl Watch {
     /// For each camera, the places that the others give, and where it should see them.
     fn expected(&self, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Vec<Expected>> {
         let mut expected: Vec<Vec<Expected>> = self.cameras.iter().map(|_| Vec::new()).collect();
-        for marker in placed.iter().filter(|p| p.dots.len() >= 2) {
+        let one_in = placed.len().div_ceil(MOST_MARKERS).max(1) as u32;
+        for marker in placed.iter().filter(|p| p.dots.len() >= 2 && p.track % one_in == 0) {
             let rays: Vec<Ray> = marker
                 .dots
                 .iter()
                 .filter_map(|&d| Ray::new(&self.cameras, &dots[d as usize], marker, noise_px))
                 .collect();
+            let all = rays.iter().fold(Ray::none(), |sum, ray| sum.plus(ray, 1.0));
             for (camera, one) in self.cameras.iter().enumerate() {
-                let others = rays.iter().filter(|r| r.camera != camera);
-                if others.clone().count() >= 2
-                    && let Some((place, covariance)) = without(others, &marker.place)
+                let own = rays.iter().filter(|r| r.camera == camera);
+                let others = own.clone().fold(all, |sum, ray| sum.plus(ray, -1.0));
+                if rays.len() >= 2 + own.count()
+                    && let Some((place, covariance)) = others.meet(&marker.place)
                     && let Some((pixel, by_place)) = one.project_linear(&place)
                     && (by_place * covariance * by_place.transpose()).trace()
                         < 2.0 * (UNSURE * noise_px[camera]).powi(2)
@@ -192,7 +198,8 @@ impl Watch {
         {
             pairs.extend(seen.iter().map(|s| (s.place, s.pixel)));
         }
-        eye.looks.push_back(Look { frame, seen });
+        let middle = middle(seen.iter().map(|s| s.offset));
+        eye.looks.push_back(Look { frame, seen, middle });
         if eye.looks.len() > 2 * BESIDE {
             eye.looks.pop_front();
         }
@@ -239,6 +246,10 @@ impl Eye {
         if self.looks.len() < 2 * BESIDE {
             return None;
         }
+        let half = |range: std::ops::Range<usize>| middle(self.looks.range(range).map(|l| l.middle));
+        if (half(BESIDE..2 * BESIDE) - half(0..BESIDE)).norm() < 0.5 * STEP_NOISES * noise_px {
+            return None;
+        }
         let mut by_track: Vec<(u32, usize, Vector2<f64>)> = Vec::new();
         for (k, look) in self.looks.iter().enumerate() {
             by_track.extend(look.seen.iter().map(|s| (s.track, k, s.offset)));
@@ -276,7 +287,8 @@ impl Eye {
     }
 }
 
-/// A dot's ray linearised at a marker's place.
+/// A dot's ray linearised at a marker's place, or the sum of several.
+#[derive(Clone, Copy)]
 struct Ray {
     camera: usize,
     information: Matrix3<f64>,
@@ -294,24 +306,33 @@ impl Ray {
             gradient: by_place.transpose() * off * weight,
         })
     }
-}
 
-/// A marker's place from some of its rays, by one step of least squares, and the covariance.
-fn without<'a>(rays: impl Iterator<Item = &'a Ray>, from: &Vector3<f64>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
-    let (mut information, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
-    for ray in rays {
-        information += ray.information;
-        gradient += ray.gradient;
+    fn none() -> Self {
+        Self { camera: usize::MAX, information: Matrix3::zeros(), gradient: Vector3::zeros() }
     }
-    let covariance = information.cholesky()?.inverse();
-    Some((from + covariance * gradient, covariance))
+
+    fn plus(&self, other: &Self, times: f64) -> Self {
+        Self {
+            camera: self.camera,
+            information: self.information + other.information * times,
+            gradient: self.gradient + other.gradient * times,
+        }
+    }
+
+    /// The place where summed rays meet, by one step of least squares, and the covariance.
+    fn meet(&self, from: &Vector3<f64>) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let covariance = self.information.cholesky()?.inverse();
+        Some((from + covariance * self.gradient, covariance))
+    }
 }
 
-/// The dot nearest to every place shifted, within a gate.
+/// The dot nearest to every place shifted, within a gate. Pixels in ascending order of x.
 fn near(expected: &[Expected], pixels: &[Vector2<f64>], shift: Vector2<f64>, gate_px: f64) -> Vec<Seen> {
     let nearest = |e: &Expected| {
         let at = e.pixel + shift;
-        let dot = pixels.iter().min_by(|a, b| (*a - at).norm().total_cmp(&(*b - at).norm()))?;
+        let first = pixels.partition_point(|p| p.x < at.x - gate_px);
+        let near = pixels[first..].iter().take_while(|p| p.x <= at.x + gate_px);
+        let dot = near.min_by(|a, b| (*a - at).norm().total_cmp(&(*b - at).norm()))?;
         let seen = Seen { track: e.track, place: e.place, pixel: *dot, offset: dot - e.pixel };
         ((dot - at).norm() < gate_px).then_some(seen)
     };
@@ -326,10 +347,8 @@ fn common_shift(
     needed: f64,
     gate_px: f64,
 ) -> Option<Vector2<f64>> {
-    let step = expected.len().div_ceil(MOST_VOTING).max(1);
     let proposals: Vec<Vector2<f64>> = expected
         .iter()
-        .step_by(step)
         .flat_map(|e| pixels.iter().map(move |p| p - e.pixel))
         .filter(|shift| shift.norm() < reach_px)
         .collect();
@@ -338,7 +357,7 @@ fn common_shift(
     let votes = |s: &Vector2<f64>| proposals.iter().filter(|o| (*o - s).norm() < width(s)).count();
     let (most, best) = proposals.iter().map(|s| (votes(s), s)).max_by_key(|v| v.0)?;
     let agree = proposals.iter().filter(|o| (*o - best).norm() < width(best)).copied();
-    (most as f64 >= needed / step as f64).then(|| middle(agree))
+    (most as f64 >= needed).then(|| middle(agree))
 }
 
 /// Median of each coordinate; zero for none.
