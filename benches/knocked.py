@@ -84,6 +84,8 @@ def main() -> None:
         knocked, after = ml.knock(take, name, frame=frame, turn_rad=np.radians(0.3) * turn, shift_m=0.005 * shift)
         healed = ml.track(knocked.observations, take.rig, refine_calibration=True)
         moves = [m for m in healed.report["bumped_cameras"] if m["camera"] == name]
+        assert isinstance(healed, ml.TrackedTake)
+        assert healed.seen is not None
         last = healed.seen.cameras.rig_at(frames)
         true = replace(take.rig, cameras=tuple(after if i == index else c for i, c in enumerate(take.rig.cameras)))
         covariance, derivatives = bound(take, true, index, frame)

@@ -10,12 +10,18 @@ from typer.testing import CliRunner
 
 import markerloom as ml
 from markerloom import formats
-from markerloom.bumped import between
+from markerloom.bumped import Moves, between
 from markerloom.cli import app
 
 FRAME = 150
 TURN_RAD = np.radians(0.3) * np.array([0.6, -0.64, 0.48])
 SHIFT_M = 0.005 * np.array([0.48, 0.6, -0.64])
+
+
+def cameras_of(take: ml.Reconstruction) -> Moves:
+    assert isinstance(take, ml.TrackedTake)
+    assert take.seen is not None
+    return take.seen.cameras
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +41,7 @@ def test_without_asking_a_knocked_camera_is_only_named(knocked: tuple[ml.Simulat
     assert (bump["camera"], bump["frame"]) == ("cam_03", FRAME)
     assert bump["moved_mm"] == pytest.approx(5.0, abs=0.7)
     assert bump["turned_deg"] == pytest.approx(0.3, abs=0.02)
-    assert points.seen.cameras.moves == ()
+    assert cameras_of(points).moves == ()
     assert any("--refine-calibration" in text for text in points.report["warnings"])
 
 
@@ -46,13 +52,13 @@ def test_a_knocked_camera_is_solved_anew_and_no_other_moves(knocked: tuple[ml.Si
     (bump,) = healed.report["bumped_cameras"]
     assert (bump["camera"], bump["frame"]) == ("cam_03", FRAME)
     assert bump["found"] < FRAME + 20
-    last = healed.seen.cameras.rig_at(take.scene.frames)
+    last = cameras_of(healed).rig_at(take.scene.frames)
     shift_mm, turn_deg = between(last.cameras[3], after)
     assert shift_mm < 0.5
     assert turn_deg < 0.01
     others = [i for i in range(len(last)) if i != 3]
     assert all(last.cameras[i] == take.rig.cameras[i] for i in others)
-    assert healed.seen.cameras.rig_at(FRAME - 1).cameras == take.rig.cameras
+    assert cameras_of(healed).rig_at(FRAME - 1).cameras == take.rig.cameras
     assert healed.report["rays_mean"] > before.report["rays_mean"] + 0.1
     assert healed.report["refined"]["verdict"] == "refused"
 
@@ -78,7 +84,7 @@ def test_two_cameras_knocked_one_after_the_other_are_both_found(walk: ml.Simulat
     twice, second = ml.knock(once, "cam_06", frame=200, turn_rad=TURN_RAD, shift_m=-SHIFT_M)
     healed = ml.track(twice.observations, walk.rig, refine_calibration=True)
     assert [(b["camera"], b["frame"]) for b in healed.report["bumped_cameras"]] == [("cam_01", 90), ("cam_06", 200)]
-    last = healed.seen.cameras.rig_at(300)
+    last = cameras_of(healed).rig_at(300)
     assert between(last.cameras[1], first)[0] < 0.8
     assert between(last.cameras[6], second)[0] < 0.8
 
