@@ -68,3 +68,32 @@ def test_a_real_rig_that_warmed_up(data: Path):
     assert report["verdict"] == "ok"
     assert report["residual_px_before"]["rms"] > 0.7
     assert report["residual_px_after"]["rms"] < 0.40
+
+
+def test_a_stream_refines_as_a_take_does(take: ml.SimulatedTake):
+    start = crept(take.rig, 0.001)
+    stream = ml.RigStream(start)
+    with pytest.raises(ml.InputError, match="nothing was pushed"):
+        stream.refined()
+    dots = take.observations
+    for frame in range(take.scene.frames):
+        own = dots.frame == frame
+        stream.push({c: dots.pixel[own & (dots.camera == i)] for i, c in enumerate(dots.camera_ids)})
+    live, report = stream.refined()
+    offline, _ = ml.refine_rig(start, dots)
+    assert report["verdict"] == "ok"
+    for a, b in zip(live.cameras, offline.cameras, strict=True):
+        assert np.array_equal(a.position_m, b.position_m)
+        assert np.array_equal(a.rotation, b.rotation)
+    with pytest.raises(ml.InputError, match="camera 'x' is not in the calibration"):
+        stream.push({"x": np.zeros((1, 2))})
+
+
+def test_a_long_stream_keeps_frames_spread_over_all_of_it(take: ml.SimulatedTake):
+    stream = ml.RigStream(take.rig)
+    for _ in range(1700):
+        stream.push({"cam_00": [[1.0, 2.0]]})
+    numbers = [number for number, _ in stream._kept]
+    assert len(numbers) <= 400
+    assert len(set(np.diff(numbers))) == 1
+    assert numbers[-1] > 1680

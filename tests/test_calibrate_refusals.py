@@ -1,5 +1,6 @@
 """Every reason for which a wand calibration is refused, provoked; what is said names the camera and the remedy."""
 
+import copy
 import re
 from dataclasses import replace
 
@@ -139,3 +140,42 @@ def test_a_camera_with_nothing_but_false_dots_is_named():
     pixel[own] = np.random.default_rng(1).uniform(0, 1000, (int(own.sum()), 2))
     text = reasons(calibrate(shifted(take, pixel)))
     assert "camera cam_04 never sees the wand whole" in text or "camera cam_04 sees the wand in" in text
+
+
+@pytest.fixture(scope="module")
+def good() -> ml.Calibration:
+    made = calibrate(wave())
+    assert made.report["verdict"] == "ok"
+    return made
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "told"),
+    [
+        (("cameras", "cam_01", "views"), 31, "camera cam_01 sees the wand in 31 frames (50 needed): wave longer"),
+        (("cameras", "cam_01", "coverage"), 0.07, "camera cam_01: the wand visited 7% of its image (10% needed)"),
+        (("cameras", "cam_01", "used"), 0.5, "camera cam_01: only 50% of its views of the wand fit the others"),
+        (("cameras", "cam_01", "reprojection_px", "median"), 1.2, "camera cam_01: residual 1.20 px, the others'"),
+        (
+            ("cameras", "cam_01", "position_sigma_mm"),
+            90.0,
+            "camera cam_01 is weakly connected: its place is known to ± 90",
+        ),
+        (("wand_length_mm", "relative_spread"), 0.05, "the wand's lengths spread by"),
+        (("wand_length_mm", "worst_ratio"), 0.11, "distances on the wand differ from the stated ones by up to 11.0%"),
+        (("speed", "along_px"), 2.0, "the wand was waved too fast"),
+        (("determined",), False, "the views do not determine all cameras"),
+        (("converged",), False, "the adjustment did not settle: wave longer"),
+    ],
+)
+def test_every_reason_is_given_for_its_figure_alone(good: ml.Calibration, where: tuple, value: object, told: str):
+    report = copy.deepcopy(good.report)
+    solved = {"determined": True, "converged": True}
+    assert refusals(good.rig, report, solved, good.dots_px) == []
+    inside: dict = solved if where[0] in solved else report
+    for key in where[:-1]:
+        inside = inside[key]
+    inside[where[-1]] = value
+    reasons = refusals(good.rig, report, solved, good.dots_px)
+    assert len(reasons) == 1
+    assert reasons[0].startswith(told)

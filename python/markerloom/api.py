@@ -13,6 +13,7 @@ from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
 from markerloom.calibrate.points import calibrate_points
 from markerloom.calibrate.refine import refine_rig
+from markerloom.calibrate.stream import RigStream
 from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
@@ -50,6 +51,7 @@ __all__ = [
     "Points",
     "Reconstruction",
     "Rig",
+    "RigStream",
     "Scene",
     "SimulatedTake",
     "TrackedFrame",
