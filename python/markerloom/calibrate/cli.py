@@ -10,7 +10,7 @@ import typer
 from markerloom import formats
 from markerloom import report as reports
 from markerloom.calibrate.check import check_rig
-from markerloom.calibrate.cli_wand import sizes, wand
+from markerloom.calibrate.cli_wand import ImageSize, ImageSizes, sizes, wand
 from markerloom.calibrate.floor import origin_from_floor, origin_from_points
 from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.points import calibrate_points
@@ -107,12 +107,8 @@ def points(
     in_order: Annotated[
         bool, typer.Option("--in-order", help="One marker was laid on the places one after the other.")
     ] = False,
-    image_size: Annotated[
-        str | None, typer.Option("--image-size", help="Of all cameras.", metavar="WIDTHxHEIGHT")
-    ] = None,
-    image_sizes: Annotated[
-        Path | None, typer.Option("--image-sizes", help="Table camera,width,height.", metavar="FILE.csv")
-    ] = None,
+    image_size: ImageSize = None,
+    image_sizes: ImageSizes = None,
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:

@@ -18,6 +18,11 @@ from markerloom.calibrate.wands import read_wand
 from markerloom.errors import InputError
 from markerloom.formats.files import read_text
 
+ImageSize = Annotated[str | None, typer.Option("--image-size", help="Of all cameras.", metavar="WIDTHxHEIGHT")]
+ImageSizes = Annotated[
+    Path | None, typer.Option("--image-sizes", help="Table camera,width,height.", metavar="FILE.csv")
+]
+
 
 def wand(
     observations: Annotated[
@@ -32,12 +37,8 @@ def wand(
     continued: Annotated[
         Path | None, typer.Option("--continue", help="A calibration whose recordings are used too.", metavar="CAL")
     ] = None,
-    image_size: Annotated[
-        str | None, typer.Option("--image-size", help="Of all cameras.", metavar="WIDTHxHEIGHT")
-    ] = None,
-    image_sizes: Annotated[
-        Path | None, typer.Option("--image-sizes", help="Table camera,width,height.", metavar="FILE.csv")
-    ] = None,
+    image_size: ImageSize = None,
+    image_sizes: ImageSizes = None,
     cameras: Annotated[str | None, typer.Option(help="Only these, with commas between.")] = None,
     camera_distance: Annotated[
         str | None, typer.Option(help="Distance of two cameras, for a single marker.", metavar="A,B=MM")
