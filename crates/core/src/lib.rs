@@ -8,6 +8,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod chi2;
 pub mod correspond;
+pub mod detect;
 pub mod reconstruct;
 pub mod sight;
 pub mod synth;

@@ -1,0 +1,200 @@
+//! A blurred disk fitted to grey values.
+//!
+//! A marker's image is a disk whose edge is blurred by the lens and by the pixels' own size; across the edge the value is
+//! `background + height · Φ((radius − distance) / s)`, Φ the normal distribution. Least squares over centre, radius and height
+//! reaches the bound `σ ≥ (1 / SNR) √(2 s / (√π r))` of a disk located by its edge, where a centroid stays 1.3 to 2 times
+//! above it. s is the camera's, not the marker's: it is fitted to some blobs of the image, and the median counts.
+
+use super::level::Level;
+use super::{Image, Value};
+use nalgebra::{SMatrix, SVector, Vector2};
+
+/// A disk and how well it was fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct Disk {
+    /// Centre (px).
+    pub center: Vector2<f64>,
+    /// Radius (px).
+    pub radius: f64,
+    /// Value inside, above the background.
+    pub height: f64,
+    /// Residuals over what noise explains (rms, 1 or more).
+    pub misfit: f64,
+}
+
+impl Disk {
+    /// Standard deviation (px per axis) of the centre: that of its edge's location, and what the residuals say.
+    pub fn sigma_px(&self, level: &Level, edge: &Edge) -> f64 {
+        let bound = (2.0 * edge.width_px / (std::f64::consts::PI.sqrt() * self.radius.max(0.5))).sqrt();
+        self.misfit * bound * level.noise / self.height.max(level.noise)
+    }
+}
+
+/// The blur of a camera's edges, tabulated.
+#[derive(Clone, Debug)]
+pub struct Edge {
+    /// Standard deviation of the blur (px), the pixels' own size included.
+    pub width_px: f64,
+    /// Φ and its derivative at −REACH … REACH.
+    table: std::sync::Arc<Vec<(f64, f64)>>,
+}
+
+/// Blur where an image tells none: a sharp lens.
+const USUAL: f64 = 0.6;
+/// Blobs to which the blur is fitted.
+const LOOKED_AT: usize = 24;
+/// A disk's values are known this many blur widths from its edge.
+const REACH: f64 = 3.5;
+const TABLE: usize = 512;
+const STEPS: usize = 4;
+/// Blurs that a fit may give (px).
+const WIDTHS: (f64, f64) = (0.3, 3.0);
+
+impl Edge {
+    /// An edge of a given blur.
+    pub fn new(width_px: f64) -> Self {
+        let at = |k: usize| {
+            let u = REACH * (2.0 * k as f64 / TABLE as f64 - 1.0);
+            (normal_distribution(u), (-0.5 * u * u).exp() / std::f64::consts::TAU.sqrt())
+        };
+        Self { width_px, table: std::sync::Arc::new((0..=TABLE).map(at).collect()) }
+    }
+
+    /// The blur of an image's blobs.
+    pub fn of<V: Value>(image: &Image<'_, V>, starts: &[Disk], level: &Level) -> Self {
+        let usual = Self::new(USUAL);
+        let good = |d: &&Disk| d.height > 10.0 * level.noise && d.radius > 1.0 && d.radius < 20.0;
+        let step = (starts.len() / LOOKED_AT).max(1);
+        let mut widths: Vec<f64> = starts
+            .iter()
+            .filter(good)
+            .step_by(step)
+            .filter_map(|start| solve::<V, 5>(image, start, level, &usual).map(|f| f.1))
+            .filter(|w| *w > WIDTHS.0 && *w < WIDTHS.1)
+            .collect();
+        if widths.is_empty() {
+            return usual;
+        }
+        let middle = widths.len() / 2;
+        Self::new(*widths.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+
+    /// Φ(u) and its derivative.
+    fn value(&self, u: f64) -> (f64, f64) {
+        let place = (u + REACH) * (TABLE as f64 / (2.0 * REACH));
+        if place <= 0.0 {
+            return (0.0, 0.0);
+        }
+        if place >= TABLE as f64 {
+            return (1.0, 0.0);
+        }
+        let k = place as usize;
+        let part = place - k as f64;
+        let ((a, da), (b, db)) = (self.table[k], self.table[k + 1]);
+        (a + part * (b - a), da + part * (db - da))
+    }
+}
+
+/// Φ by the error function of Abramowitz & Stegun 7.1.26, good to 1.5e-7.
+fn normal_distribution(u: f64) -> f64 {
+    let z = u.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.327_591_1 * z);
+    let series =
+        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let upper = 0.5 * series * (-z * z).exp();
+    if u > 0.0 { 1.0 - upper } else { upper }
+}
+
+/// The disk that fits the values around a start best. `None` where it runs away or another blob is in the way.
+pub fn fit<V: Value>(image: &Image<'_, V>, start: &Disk, level: &Level, edge: &Edge) -> Option<Disk> {
+    solve::<V, 4>(image, start, level, edge).map(|f| f.0)
+}
+
+/// Gauss–Newton over centre, radius, height and, with five parameters, the width of the edge.
+fn solve<V: Value, const N: usize>(
+    image: &Image<'_, V>,
+    start: &Disk,
+    level: &Level,
+    edge: &Edge,
+) -> Option<(Disk, f64)> {
+    let reach = start.radius + REACH * edge.width_px + 1.0;
+    let low = start.center.map(|c| (c - reach).floor().max(0.0) as usize);
+    let high = start.center.map(|c| (c + reach).ceil().max(0.0) as usize);
+    let (right, bottom) = (high.x.min(image.width - 1), high.y.min(image.height - 1));
+    let (mut disk, mut width) = (*start, edge.width_px);
+    for _ in 0..STEPS {
+        let mut normal = SMatrix::<f64, N, N>::zeros();
+        let mut gradient = SVector::<f64, N>::zeros();
+        let (mut squares, mut count) = (0.0, 0_u32);
+        for y in low.y..=bottom {
+            for x in low.x..=right {
+                let off = Vector2::new(x as f64, y as f64) - disk.center;
+                let distance = off.norm();
+                if distance > reach {
+                    continue;
+                }
+                let u = (disk.radius - distance) / width;
+                let (share, slope) = edge.value(u);
+                let steep = disk.height * slope / width;
+                let outwards = if distance > 1e-9 { off / distance } else { Vector2::zeros() };
+                let by = SVector::<f64, N>::from_fn(|k, _| match k {
+                    0 => steep * outwards.x,
+                    1 => steep * outwards.y,
+                    2 => steep,
+                    3 => share,
+                    _ => -steep * u,
+                });
+                let residual = image.at(x, y) - level.background - disk.height * share;
+                normal.ger(1.0, &by, &by, 1.0);
+                gradient += by * residual;
+                squares += residual * residual;
+                count += 1;
+            }
+        }
+        let step = normal.cholesky()?.solve(&gradient);
+        disk.center += Vector2::new(step[0], step[1]);
+        disk.radius += step[2];
+        disk.height += step[3];
+        if N == 5 {
+            width = (width + step[4]).clamp(WIDTHS.0, WIDTHS.1);
+        }
+        disk.misfit = (squares / (f64::from(count) - N as f64).max(1.0)).sqrt().max(level.noise) / level.noise;
+        let moved = (disk.center - start.center).norm();
+        if !(moved < 1.0 + 0.5 * start.radius && disk.radius > 0.2 && disk.radius < 3.0 * start.radius + 2.0) {
+            return None;
+        }
+        if step.rows(0, 3).norm() < 1e-4 {
+            break;
+        }
+    }
+    (disk.height > 0.0).then_some((disk, width))
+}
+
+#[cfg(test)]
+/// Tests; the profile is for rendering in others.
+pub mod tests {
+    use super::*;
+
+    /// Φ(u), for rendering.
+    pub fn profile(u: f64) -> f64 {
+        normal_distribution(u)
+    }
+
+    #[test]
+    fn the_normal_distribution_has_its_known_values() {
+        for (u, value) in [(0.0, 0.5), (1.0, 0.841_344_746), (-1.959_964, 0.025), (3.0, 0.998_650_102)] {
+            assert!((normal_distribution(u) - value).abs() < 2e-7, "{u}");
+        }
+    }
+
+    #[test]
+    fn the_table_follows_the_edge() {
+        let edge = Edge::new(0.7);
+        for k in 0..100 {
+            let u = -3.4 + 0.068 * f64::from(k);
+            let (value, slope) = edge.value(u);
+            assert!((value - normal_distribution(u)).abs() < 1e-5);
+            assert!((slope - (normal_distribution(u + 1e-3) - normal_distribution(u - 1e-3)) / 2e-3).abs() < 1e-3);
+        }
+    }
+}
