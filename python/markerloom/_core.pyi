@@ -136,6 +136,14 @@ def observe(
     frame: int,
 ) -> list[tuple[int, float, float, list[int]]]: ...
 def read_x2d(bytes: bytes) -> dict[str, Any]: ...
+def detect_markers(
+    image: object,
+    threshold: float | None,
+    white: float | None,
+    radius_px: float | None,
+    least_pixels: int,
+    most_blobs: int,
+) -> dict[str, Any]: ...
 def calibrate_wand(
     cameras: Sequence[dict[str, Any]],
     known: str,

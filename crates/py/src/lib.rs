@@ -5,6 +5,7 @@
 mod c3d;
 mod calibrate;
 mod conv;
+mod detect;
 mod errors;
 mod hidden;
 mod reconstruct;
@@ -27,6 +28,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hidden::on_spheres, module)?)?;
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
+    module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_points, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::refine_rig, module)?)?;

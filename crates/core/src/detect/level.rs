@@ -14,7 +14,7 @@ pub struct Level {
 }
 
 /// Pixels that tell of the background.
-const LOOKED_AT: usize = 20_000;
+const LOOKED_AT: usize = 5_000;
 /// Noise of the rounding to whole values.
 const ROUNDING: f64 = 0.288_675;
 /// A pixel of background alone is brighter than so many standard deviations once in a million images.

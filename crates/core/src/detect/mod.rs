@@ -2,8 +2,10 @@
 //!
 //! Bright runs of each row are joined into components ([`runs`]); a component gives first a centroid weighted by what
 //! lies above the threshold, then a least-squares fit of a blurred disk to all pixels around it ([`disk`]), which
-//! reaches the Cramér–Rao bound of a disk's edge. Memory is that of the bright pixels; one thread per image.
+//! reaches the Cramér–Rao bound of a disk's edge. What is no disk, because the marker is half hidden or two have run
+//! together, is fitted by circles of the radius that the other markers have ([`arcs`]). Memory is that of the bright pixels; one thread per image.
 
+pub mod arcs;
 pub mod disk;
 pub mod level;
 pub mod runs;
@@ -59,6 +61,8 @@ pub struct Options {
     pub threshold: Option<f64>,
     /// Value at which the sensor saturates; the largest of its type if missing (a 12-bit camera in 16 bits: 4095).
     pub white: Option<f64>,
+    /// Radius of a marker's image (px), where it is known; otherwise that of the image's other markers.
+    pub radius_px: Option<f64>,
     /// Components of fewer bright pixels are noise.
     pub least_pixels: usize,
     /// Blobs given out at most, brightest first: an overexposed frame must not take all time.
@@ -67,7 +71,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { threshold: None, white: None, least_pixels: 2, most_blobs: 10_000 }
+        Self { threshold: None, white: None, radius_px: None, least_pixels: 2, most_blobs: 10_000 }
     }
 }
 
@@ -90,6 +94,21 @@ pub struct Blob {
     pub is_clipped: bool,
     /// Some pixels are at the sensor's limit.
     pub is_saturated: bool,
+    /// How the centre was found.
+    pub fit: Fit,
+}
+
+/// How a blob's centre was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fit {
+    /// A blurred disk on all grey values.
+    Disk,
+    /// Weighted by what lies above the threshold: no disk fits, or the sensor or the image ends.
+    Moments,
+    /// A circle of known radius, seen along a part: the marker is half hidden.
+    Arc,
+    /// A circle of known radius, one of several in what has run together.
+    Merged,
 }
 
 /// What an image gave.
@@ -120,24 +139,95 @@ pub fn detect<V: Value>(image: &Image<'_, V>, options: &Options) -> Detected {
     let moments: Vec<Moments> = found.iter().map(|c| Moments::of(image, c, &level)).collect();
     let starts: Vec<Disk> = moments.iter().map(Moments::disk).collect();
     let edge = Edge::of(image, &starts, &level);
-    let blob = |((component, moments), start): ((&Component, &Moments), &Disk)| {
+    let mut seen: Vec<Seen> = Vec::with_capacity(found.len());
+    for ((component, moments), start) in found.iter().zip(&moments).zip(&starts) {
         let is_saturated = level.background + moments.peak >= white;
         let is_clipped = component.touches(image.width, image.height);
         let fitted = (!is_saturated && !is_clipped).then(|| disk::fit(image, start, &level, &edge)).flatten();
-        let disk = fitted.unwrap_or(*start);
+        seen.push(Seen { component, moments, start, fitted, is_saturated, is_clipped });
+    }
+    let radius = options.radius_px.or_else(|| usual_radius(&seen));
+    let blobs = seen.iter().flat_map(|s| s.blobs(image, &level, &edge, radius)).collect();
+    Detected { blobs, level, edge, left_out }
+}
+
+/// A fit leaves so many times the noise where something is no disk.
+const NO_DISK: f64 = 1.6;
+/// And its residuals are this part of the disk's height: of a bright marker, the model's own errors exceed the noise.
+const NO_DISK_SHARE: f64 = 0.04;
+/// A component of so many disks' area is several markers.
+const SEVERAL: f64 = 1.25;
+/// Markers that are told apart in one component.
+const MOST_MERGED: usize = 4;
+/// A circle that is seen along less of it is half hidden.
+const WHOLE: f64 = 0.8;
+
+/// A component with its fit.
+struct Seen<'a> {
+    component: &'a Component,
+    moments: &'a Moments,
+    start: &'a Disk,
+    fitted: Option<Disk>,
+    is_saturated: bool,
+    is_clipped: bool,
+}
+
+/// Median radius of the components that are disks.
+fn usual_radius(seen: &[Seen]) -> Option<f64> {
+    let mut radii: Vec<f64> = seen.iter().filter_map(|s| s.fitted.filter(is_disk).map(|d| d.radius)).collect();
+    if radii.is_empty() {
+        return None;
+    }
+    let middle = radii.len() / 2;
+    Some(*radii.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Whether a fit explains the values.
+fn is_disk(disk: &Disk) -> bool {
+    disk.misfit < NO_DISK || disk.rest < NO_DISK_SHARE * disk.height
+}
+
+impl Seen<'_> {
+    /// The markers of a component: one, or several that have run together.
+    fn blobs<V: Value>(&self, image: &Image<'_, V>, level: &Level, edge: &Edge, radius: Option<f64>) -> Vec<Blob> {
+        let whole = self.fitted.filter(is_disk);
+        let several = |r: f64| self.moments.mass > SEVERAL * std::f64::consts::PI * r * r * self.moments.peak;
+        if let (None, Some(radius), false) = (whole, radius, self.is_clipped) {
+            let most = if several(radius) { MOST_MERGED } else { 1 };
+            let circles = arcs::circles(image, self.component, level, self.moments.peak, radius, most);
+            let fit = |c: &arcs::Circle| match circles.len() {
+                1 if c.seen >= WHOLE => Fit::Disk,
+                1 => Fit::Arc,
+                _ => Fit::Merged,
+            };
+            let blob = |c: &arcs::Circle| Blob {
+                pixel: c.center.into(),
+                sigma_px: c.sigma_px,
+                radius_px: radius,
+                fit: fit(c),
+                ..self.blob(self.start, level, edge)
+            };
+            if !circles.is_empty() {
+                return circles.iter().map(blob).collect();
+            }
+        }
+        let disk = whole.or(self.fitted).unwrap_or(*self.start);
+        vec![self.blob(&disk, level, edge)]
+    }
+
+    fn blob(&self, disk: &Disk, level: &Level, edge: &Edge) -> Blob {
         Blob {
             pixel: disk.center.into(),
-            sigma_px: disk.sigma_px(&level, &edge),
+            sigma_px: disk.sigma_px(level, edge),
             radius_px: disk.radius,
-            area_px: component.pixels,
-            peak: moments.peak,
-            ellipse: moments.ellipse(),
-            is_clipped,
-            is_saturated,
+            area_px: self.component.pixels,
+            peak: self.moments.peak,
+            ellipse: self.moments.ellipse(),
+            is_clipped: self.is_clipped,
+            is_saturated: self.is_saturated,
+            fit: if self.fitted.is_some() { Fit::Disk } else { Fit::Moments },
         }
-    };
-    let blobs = found.iter().zip(&moments).zip(&starts).map(blob).collect();
-    Detected { blobs, level, edge, left_out }
+    }
 }
 
 /// Moments of a component, weighted by what lies above the threshold.
@@ -177,7 +267,7 @@ impl Moments {
     /// A disk of the same mass and centre.
     fn disk(&self) -> Disk {
         let radius = (self.mass / (std::f64::consts::PI * self.peak.max(1e-9))).sqrt();
-        Disk { center: self.center, radius, height: self.peak, misfit: 1.0 }
+        Disk { center: self.center, radius, height: self.peak, misfit: 1.0, rest: 0.0 }
     }
 
     fn ellipse(&self) -> [f64; 3] {
@@ -257,6 +347,48 @@ mod tests {
         assert!(found(&bright).blobs[0].is_saturated);
         assert!(found(&rendered(&[], 2.0, 1)).blobs.is_empty());
         assert!(found(&vec![0; 64 * 64]).blobs.is_empty());
+    }
+
+    #[test]
+    fn a_half_hidden_marker_is_found_by_its_arc() {
+        let mut random = Random::new(3, 0);
+        let options = Options { radius_px: Some(4.0), ..Options::default() };
+        let (mut squares, tries) = (0.0, 60);
+        for seed in 0..tries {
+            let center = Vector2::new(30.0 + random.between(0.0, 1.0), 30.0 + random.between(0.0, 1.0));
+            let turn = random.between(0.0, std::f64::consts::TAU);
+            let side = Vector2::new(turn.cos(), turn.sin());
+            let mut values = rendered(&[(center, 4.0)], 0.0, 0);
+            for (k, value) in values.iter_mut().enumerate() {
+                let at = Vector2::new((k % 64) as f64, (k / 64) as f64);
+                let shown = disk::tests::profile((at - center).dot(&side) / 0.6);
+                *value = (20.0 + (f64::from(*value) - 20.0) * shown + 2.0 * random.normal()).round() as u8;
+            }
+            let blobs = detect(&Image { values: &values, width: 64, height: 64 }, &options).blobs;
+            assert_eq!(blobs.len(), 1, "{seed}");
+            assert!(blobs[0].fit == Fit::Arc, "{seed} {:?}", blobs[0]);
+            squares += (Vector2::from(blobs[0].pixel) - center).norm_squared();
+        }
+        let rms = (squares / f64::from(tries)).sqrt();
+        assert!(rms < 0.2, "{rms}");
+    }
+
+    #[test]
+    fn two_merged_markers_are_both_found() {
+        let mut random = Random::new(5, 0);
+        let options = Options { radius_px: Some(4.0), ..Options::default() };
+        let (mut good, tries) = (0, 60);
+        for seed in 0..tries {
+            let center = Vector2::new(30.0 + random.between(0.0, 1.0), 30.0 + random.between(0.0, 1.0));
+            let turn = random.between(0.0, std::f64::consts::TAU);
+            let apart = 0.5 * 1.2 * 4.0 * Vector2::new(turn.cos(), turn.sin());
+            let truth = [center - apart, center + apart];
+            let values = rendered(&truth.map(|c| (c, 4.0)), 2.0, seed);
+            let blobs = detect(&Image { values: &values, width: 64, height: 64 }, &options).blobs;
+            let near = |t: &Vector2<f64>| blobs.iter().any(|b| (Vector2::from(b.pixel) - t).norm() < 0.3);
+            good += usize::from(blobs.len() == 2 && blobs[0].fit == Fit::Merged && truth.iter().all(near));
+        }
+        assert!(good * 100 >= 95 * tries as usize, "{good} of {tries}");
     }
 
     #[test]
