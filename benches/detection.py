@@ -105,10 +105,10 @@ def speed() -> None:
         found, _ = cv2.findContours((grey > 40).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         return len([cv2.moments(c) for c in found])
 
-    parameters = cv2.SimpleBlobDetector_Params()
+    parameters = cv2.SimpleBlobDetector_Params()  # pyright: ignore[reportAttributeAccessIssue]
     parameters.filterByColor, parameters.blobColor = True, 255
     parameters.filterByArea, parameters.minArea = True, 4
-    detector = cv2.SimpleBlobDetector_create(parameters)
+    detector = cv2.SimpleBlobDetector_create(parameters)  # pyright: ignore[reportAttributeAccessIssue]
     cv2.setNumThreads(1)
     ways = {
         "markerloom": lambda: len(detect_markers(grey)),

@@ -17,6 +17,7 @@ from markerloom.calibrate.stream import RigStream
 from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
+from markerloom.detect import Blobs, detect, detect_markers, grey_images, learn_mask, read_mask
 from markerloom.evaluate import (
     Truth,
     evaluate,
@@ -39,6 +40,7 @@ from markerloom.track_page import save_track_page
 from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
+    "Blobs",
     "Calibration",
     "Camera",
     "CameraView",
@@ -68,15 +70,20 @@ __all__ = [
     "convert",
     "coverage",
     "demo",
+    "detect",
+    "detect_markers",
     "evaluate",
     "explain",
+    "grey_images",
     "inspect",
     "knock",
+    "learn_mask",
     "make_scene",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",
     "read_calibration",
+    "read_mask",
     "read_observations",
     "read_points",
     "read_wand",

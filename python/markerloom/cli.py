@@ -26,6 +26,7 @@ from markerloom.coverage import coverage as run_coverage
 from markerloom.demo import HEADER as DEMO_HEADER
 from markerloom.demo import demo as run_demo
 from markerloom.demo import summary
+from markerloom.detect.cli import detect
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
 from markerloom.evaluate import evaluate as run_evaluate
@@ -43,6 +44,7 @@ from markerloom.track_page import save_track_page
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.add_typer(calibrate_app, name="calibrate")
+app.command()(detect)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 

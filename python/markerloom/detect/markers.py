@@ -88,7 +88,9 @@ def detect_markers(
         if other is not None and other.shape != grey.shape:
             raise InputError(f"the {name} has the size {other.shape[::-1]}, the image {grey.shape[::-1]}")
     if background is not None:
-        grey = grey - np.minimum(grey, background.astype(grey.dtype))
+        # Its median stays, so that the noise below it stays too.
+        flat = grey.astype(np.int64) - background + int(np.median(background))
+        grey = np.clip(flat, 0, np.iinfo(grey.dtype).max).astype(grey.dtype)
     if mask is not None:
         grey = np.where(mask, np.median(grey).astype(grey.dtype), grey)
     found = _core.detect_markers(np.ascontiguousarray(grey), threshold, white, radius_px, least_pixels, most_blobs)
