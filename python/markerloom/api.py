@@ -18,6 +18,7 @@ from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
 from markerloom.detect import Blobs, detect, detect_markers, grey_images, learn_mask, read_mask
+from markerloom.detect.render import save_videos
 from markerloom.evaluate import (
     Truth,
     evaluate,
@@ -93,6 +94,7 @@ __all__ = [
     "save_calibration_page",
     "save_coverage",
     "save_track_page",
+    "save_videos",
     "simulate",
     "track",
     "triangulate",

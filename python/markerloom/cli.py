@@ -27,6 +27,7 @@ from markerloom.demo import HEADER as DEMO_HEADER
 from markerloom.demo import demo as run_demo
 from markerloom.demo import summary
 from markerloom.detect.cli import detect
+from markerloom.detect.render import save_videos
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
 from markerloom.evaluate import evaluate as run_evaluate
@@ -159,7 +160,8 @@ def simulate(
     clutter_per_frame: Annotated[float | None, typer.Option(help="False dots per camera and frame.")] = None,
     reflections: Annotated[int | None, typer.Option(help="Fixed reflections per camera.")] = None,
     wand: Annotated[str | None, typer.Option(help="Of scene 'wand': a name, or a .toml file.")] = None,
-    marker_mm: Annotated[float, typer.Option(help="Of coverage: diameter of a marker.")] = 14.0,
+    video: Annotated[bool, typer.Option("--video", help="Film the take too: CAMERA.mkv for each camera.")] = False,
+    marker_mm: Annotated[float, typer.Option(help="Of coverage and video: diameter of a marker.")] = 14.0,
     volume: Annotated[
         str | None, typer.Option(help="Of coverage: the volume in metres.", metavar="X:X,Y:Y,Z:Z")
     ] = None,
@@ -171,7 +173,7 @@ def simulate(
     Example: markerloom simulate exp61 -o out/exp61 --hide one --seed 3 --frames 200
     · markerloom simulate coverage rig.toml -o out/coverage
     """
-    elsewhere = ("scene", "rig", "folder", "marker_mm", "volume", "report", "quiet")
+    elsewhere = ("scene", "rig", "folder", "video", "marker_mm", "volume", "report", "quiet")
     given = {k: v for k, v in locals().items() if k not in (*elsewhere, "elsewhere")}
     if scene == "coverage":
         cameras_of = make_rig(make_scene("walk", **given)) if rig is None else formats.read_calibration(rig)
@@ -198,6 +200,8 @@ def simulate(
     with progress_bar("simulate", quiet) as progress:
         take = run_simulate(made, progress=progress)
     save(take, folder)
+    if video:
+        save_videos(take, folder, marker_mm=marker_mm)
     say(
         quiet,
         f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,22 @@ def write_png(image: Grey, path: str | Path) -> None:
     codec.time_base = 1
     packets = codec.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="gray"))
     Path(path).write_bytes(b"".join(bytes(p) for p in [*packets, *codec.encode(None)]))
+
+
+def write_video(images: Iterable[Grey], path: str | Path, *, rate_hz: float) -> None:
+    """Write 8-bit grey images as a lossless video (FFV1)."""
+    av = _av()
+    with av.open(str(path), "w") as container:
+        stream = None
+        for image in images:
+            if stream is None:
+                stream = container.add_stream("ffv1", rate=Fraction(rate_hz).limit_denominator(1000))
+                stream.height, stream.width = image.shape
+                stream.pix_fmt = "gray"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="gray")))
+        if stream is None:
+            raise InputError(f"there is no image to write as {path}")
+        container.mux(stream.encode())
 
 
 def _av() -> Any:
