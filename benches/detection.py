@@ -110,8 +110,10 @@ def speed() -> None:
     parameters.filterByArea, parameters.minArea = True, 4
     detector = cv2.SimpleBlobDetector_create(parameters)  # pyright: ignore[reportAttributeAccessIssue]
     cv2.setNumThreads(1)
+    blur_px = detect_markers(grey).blur_px
     ways = {
         "markerloom": lambda: len(detect_markers(grey)),
+        "markerloom, blur known from before": lambda: len(detect_markers(grey, blur_px=blur_px)),
         "OpenCV threshold, contours, moments": contours,
         "OpenCV threshold, connected components": components,
         "OpenCV SimpleBlobDetector": lambda: len(detector.detect(grey)),

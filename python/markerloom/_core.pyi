@@ -141,8 +141,8 @@ def detect_markers(
     threshold: float | None,
     white: float | None,
     radius_px: float | None,
-    least_pixels: int,
-    most_blobs: int,
+    blur_px: float | None,
+    limits: tuple[int, int],
 ) -> dict[str, Any]: ...
 def calibrate_wand(
     cameras: Sequence[dict[str, Any]],

@@ -20,19 +20,20 @@ fn of<V: Value>(view: &ArrayView2<'_, V>, options: &Options) -> Option<Detected>
     Some(detect(&Image { values, width, height }, options))
 }
 
-/// Markers of one grey image (height, width): see `markerloom/detect`.
+/// Markers of one grey image (height, width): see `markerloom/detect`. `limits`: least pixels, most blobs.
 #[pyfunction]
-#[pyo3(signature = (image, threshold, white, radius_px, least_pixels, most_blobs))]
+#[pyo3(signature = (image, threshold, white, radius_px, blur_px, limits))]
 pub fn detect_markers<'py>(
     py: Python<'py>,
     image: Grey<'py>,
     threshold: Option<f64>,
     white: Option<f64>,
     radius_px: Option<f64>,
-    least_pixels: usize,
-    most_blobs: usize,
+    blur_px: Option<f64>,
+    limits: (usize, usize),
 ) -> PyResult<Bound<'py, PyDict>> {
-    let options = Options { threshold, white, radius_px, least_pixels, most_blobs };
+    let (least_pixels, most_blobs) = limits;
+    let options = Options { threshold, white, radius_px, blur_px, least_pixels, most_blobs };
     let empty = match &image {
         Grey::Eight(a) => a.len() == 0,
         Grey::Sixteen(a) => a.len() == 0,

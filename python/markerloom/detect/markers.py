@@ -63,6 +63,7 @@ def detect_markers(
     threshold: float | None = None,
     white: float | None = None,
     radius_px: float | None = None,
+    blur_px: float | None = None,
     mask: Flags | None = None,
     background: NDArray[np.unsignedinteger[Any]] | None = None,
     least_pixels: int = LEAST_PIXELS,
@@ -74,8 +75,9 @@ def detect_markers(
     a disk's edge); what is no disk is fitted by circles of the markers' radius. ``threshold``: grey value above which a
     pixel is bright; by default 7 standard deviations of the image's noise above its background. ``white``: value at
     which the sensor saturates (4095 for 12 bits in 16). ``radius_px``: of a marker's image where it is known, otherwise
-    the median of the image's. ``mask`` (height, width): pixels that are ignored. ``background``: an image without
-    markers, of the same size, that is subtracted.
+    the median of the image's. ``blur_px``: standard deviation of the edges' blur, the same for all images of a camera;
+    otherwise it is fitted to some markers of the image. ``mask`` (height, width): pixels that are ignored.
+    ``background``: an image without markers, of the same size, that is subtracted.
 
     Raises ``InputError`` for an image that is none of this.
     """
@@ -93,5 +95,7 @@ def detect_markers(
         grey = np.clip(flat, 0, np.iinfo(grey.dtype).max).astype(grey.dtype)
     if mask is not None:
         grey = np.where(mask, np.median(grey).astype(grey.dtype), grey)
-    found = _core.detect_markers(np.ascontiguousarray(grey), threshold, white, radius_px, least_pixels, most_blobs)
+    found = _core.detect_markers(
+        np.ascontiguousarray(grey), threshold, white, radius_px, blur_px, (least_pixels, most_blobs)
+    )
     return Blobs(**found)

@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ Flags = NDArray[np.bool_]
 
 AHEAD = 4
 """Images read ahead for each thread."""
+FEWEST_FOR_BLUR = 3
+"""Markers of an image from which a camera's blur is taken."""
 LEARNED_FROM = 50
 """Images of an empty scene that are looked at."""
 AROUND_PX = 3
@@ -54,14 +57,17 @@ def detect(
             mask = None if masks is None else masks.get(camera)
             background = None if backgrounds is None else backgrounds.get(camera)
 
-            def find(image: Grey, mask: Flags | None = mask, background: Grey | None = background) -> Blobs:
-                return detect_markers(
-                    image, threshold=threshold, white=white, radius_px=radius_px, mask=mask, background=background
-                )
-
+            one = partial(
+                detect_markers,
+                threshold=threshold,
+                white=white,
+                radius_px=radius_px,
+                mask=mask,
+                background=background,
+            )
             counts = _Counts()
             images = _of_one_size(camera, source, warnings)
-            for frame, blobs in enumerate(_in_order(pool, workers, find, images)):
+            for frame, blobs in enumerate(_in_order(pool, workers, one, images)):
                 counts.add(blobs)
                 n = len(blobs)
                 columns = (blobs.pixel, blobs.radius_px, blobs.sigma_px, blobs.quality)
@@ -128,9 +134,18 @@ def _of_one_size(camera: str, source: str | Path, warnings: list[str]) -> Iterat
 
 
 def _in_order(pool: ThreadPoolExecutor, workers: int, find: Any, images: Iterator[Grey]) -> Iterator[Blobs]:
-    """Results in the order of the images, with a bounded number of them in memory."""
+    """Results in the order of the images, with a bounded number of them in memory.
+
+    The blur of a camera's edges is that of its first image with markers enough; later ones take it as known.
+    """
     waiting: deque[Future[Blobs]] = deque()
     for image in images:
+        if "blur_px" not in find.keywords:
+            blobs = find(image)
+            if len(blobs) >= FEWEST_FOR_BLUR:
+                find = partial(find, blur_px=blobs.blur_px)
+            yield blobs
+            continue
         waiting.append(pool.submit(find, image))
         if len(waiting) > AHEAD * workers:
             yield waiting.popleft().result()

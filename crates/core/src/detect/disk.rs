@@ -8,6 +8,7 @@
 use super::level::Level;
 use super::{Image, Value};
 use nalgebra::{SMatrix, SVector, Vector2};
+use std::sync::LazyLock;
 
 /// A disk and how well it was fitted.
 #[derive(Clone, Copy, Debug)]
@@ -26,21 +27,28 @@ pub struct Disk {
 
 impl Disk {
     /// Standard deviation (px per axis) of the centre: that of its edge's location, and what the residuals say.
-    pub fn sigma_px(&self, level: &Level, edge: &Edge) -> f64 {
+    pub fn sigma_px(&self, level: &Level, edge: Edge) -> f64 {
         let bound = (2.0 * edge.width_px / (std::f64::consts::PI.sqrt() * self.radius.max(0.5))).sqrt();
         let excess = if self.misfit > USUAL_MISFIT { self.misfit } else { 1.0 };
         excess * bound * level.noise / self.height.max(level.noise)
     }
 }
 
-/// The blur of a camera's edges, tabulated.
-#[derive(Clone, Debug)]
+/// The blur of a camera's edges.
+#[derive(Clone, Copy, Debug)]
 pub struct Edge {
     /// Standard deviation of the blur (px), the pixels' own size included.
     pub width_px: f64,
-    /// Φ and its derivative at −REACH … REACH.
-    table: std::sync::Arc<Vec<(f64, f64)>>,
 }
+
+/// Φ and its derivative at −REACH … REACH.
+static TABLE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| {
+    let at = |k: usize| {
+        let u = REACH * (2.0 * k as f64 / CELLS as f64 - 1.0);
+        (normal_distribution(u), (-0.5 * u * u).exp() / std::f64::consts::TAU.sqrt())
+    };
+    (0..=CELLS).map(at).collect()
+});
 
 /// Residuals so little above the noise say nothing.
 const USUAL_MISFIT: f64 = 1.25;
@@ -50,56 +58,49 @@ const USUAL: f64 = 0.6;
 const LOOKED_AT: usize = 5;
 /// A disk's values are known this many blur widths from its edge.
 const REACH: f64 = 2.7;
-const TABLE: usize = 512;
+const CELLS: usize = 512;
 const STEPS: usize = 5;
-/// A step this small leaves an error far below any noise: convergence is quadratic.
-const SETTLED_PX: f64 = 3e-3;
+/// After a step d of the centre an error of about d² / 2s is left; this part of the centre's own uncertainty is enough.
+const SETTLED: f64 = 0.05;
+/// A step of the blur this small settles it (px).
+const SETTLED_WIDTH_PX: f64 = 3e-3;
 /// Blurs that a fit may give (px).
 const WIDTHS: (f64, f64) = (0.3, 3.0);
 
 impl Edge {
-    /// An edge of a given blur.
-    pub fn new(width_px: f64) -> Self {
-        let at = |k: usize| {
-            let u = REACH * (2.0 * k as f64 / TABLE as f64 - 1.0);
-            (normal_distribution(u), (-0.5 * u * u).exp() / std::f64::consts::TAU.sqrt())
-        };
-        Self { width_px, table: std::sync::Arc::new((0..=TABLE).map(at).collect()) }
-    }
-
     /// The blur of an image's blobs.
     pub fn of<V: Value>(image: &Image<'_, V>, starts: &[Disk], level: &Level) -> Self {
-        let usual = Self::new(USUAL);
+        let usual = Self { width_px: USUAL };
         let good = |d: &&Disk| d.height > 10.0 * level.noise && d.radius > 1.0 && d.radius < 20.0;
         let step = (starts.len() / LOOKED_AT).max(1);
         let mut widths: Vec<f64> = starts
             .iter()
             .filter(good)
             .step_by(step)
-            .filter_map(|start| solve::<V, 5>(image, start, level, &usual).map(|f| f.1))
+            .filter_map(|start| solve::<V, 5>(image, start, level, usual).map(|f| f.1))
             .filter(|w| *w > WIDTHS.0 && *w < WIDTHS.1)
             .collect();
         if widths.is_empty() {
             return usual;
         }
         let middle = widths.len() / 2;
-        Self::new(*widths.select_nth_unstable_by(middle, f64::total_cmp).1)
+        Self { width_px: *widths.select_nth_unstable_by(middle, f64::total_cmp).1 }
     }
+}
 
-    /// Φ(u) and its derivative.
-    fn value(&self, u: f64) -> (f64, f64) {
-        let place = (u + REACH) * (TABLE as f64 / (2.0 * REACH));
-        if place <= 0.0 {
-            return (0.0, 0.0);
-        }
-        if place >= TABLE as f64 {
-            return (1.0, 0.0);
-        }
-        let k = place as usize;
-        let part = place - k as f64;
-        let ((a, da), (b, db)) = (self.table[k], self.table[k + 1]);
-        (a + part * (b - a), da + part * (db - da))
+/// Φ(u) and its derivative, from the table.
+fn across_edge(table: &[(f64, f64)], u: f64) -> (f64, f64) {
+    let place = (u + REACH) * (CELLS as f64 / (2.0 * REACH));
+    if place <= 0.0 {
+        return (0.0, 0.0);
     }
+    if place >= CELLS as f64 {
+        return (1.0, 0.0);
+    }
+    let k = place as usize;
+    let part = place - k as f64;
+    let ((a, da), (b, db)) = (table[k], table[k + 1]);
+    (a + part * (b - a), da + part * (db - da))
 }
 
 /// Φ by the error function of Abramowitz & Stegun 7.1.26, good to 1.5e-7.
@@ -113,7 +114,7 @@ fn normal_distribution(u: f64) -> f64 {
 }
 
 /// The disk that fits the values around a start best. `None` where it runs away or another blob is in the way.
-pub fn fit<V: Value>(image: &Image<'_, V>, start: &Disk, level: &Level, edge: &Edge) -> Option<Disk> {
+pub fn fit<V: Value>(image: &Image<'_, V>, start: &Disk, level: &Level, edge: Edge) -> Option<Disk> {
     solve::<V, 4>(image, start, level, edge).map(|f| f.0)
 }
 
@@ -122,13 +123,14 @@ fn solve<V: Value, const N: usize>(
     image: &Image<'_, V>,
     start: &Disk,
     level: &Level,
-    edge: &Edge,
+    edge: Edge,
 ) -> Option<(Disk, f64)> {
     let reach = start.radius + REACH * edge.width_px + 0.5;
     let low = start.center.map(|c| (c - reach).floor().max(0.0) as usize);
     let high = start.center.map(|c| (c + reach).ceil().max(0.0) as usize);
     let (right, bottom) = (high.x.min(image.width - 1), high.y.min(image.height - 1));
     let (mut disk, mut width) = (*start, edge.width_px);
+    let table: &[(f64, f64)] = &TABLE;
     for _ in 0..STEPS {
         let (mut products, mut gradient) = ([[0.0; N]; N], [0.0; N]);
         let inverse_width = 1.0 / width;
@@ -143,7 +145,7 @@ fn solve<V: Value, const N: usize>(
                 let run = (first + k) as f64 - disk.center.x;
                 let distance = (run * run + rise * rise).sqrt();
                 let u = (disk.radius - distance) * inverse_width;
-                let (share, slope) = edge.value(u);
+                let (share, slope) = across_edge(table, u);
                 let value: f64 = (*value).into();
                 let residual = value - level.background - disk.height * share;
                 squares += residual * residual;
@@ -173,13 +175,16 @@ fn solve<V: Value, const N: usize>(
         if N == 5 {
             width = (width + step[4]).clamp(WIDTHS.0, WIDTHS.1);
         }
+        // What the step takes away is known before it is looked at.
+        let squares = (squares - step.dot(&SVector::<f64, N>::from(gradient))).max(0.0);
         disk.rest = (squares / (f64::from(count) - N as f64).max(1.0)).sqrt();
         disk.misfit = disk.rest.max(level.noise) / level.noise;
         let moved = (disk.center - start.center).norm();
         if !(moved < 1.0 + 0.5 * start.radius && disk.radius > 0.2 && disk.radius < 3.0 * start.radius + 2.0) {
             return None;
         }
-        if step[0].hypot(step[1]) < SETTLED_PX && (N == 4 || step[4].abs() < SETTLED_PX) {
+        let left = (step[0] * step[0] + step[1] * step[1]) / (2.0 * width);
+        if left < SETTLED * disk.sigma_px(level, edge) && (N == 4 || step[4].abs() < SETTLED_WIDTH_PX) {
             break;
         }
     }
@@ -205,10 +210,9 @@ pub mod tests {
 
     #[test]
     fn the_table_follows_the_edge() {
-        let edge = Edge::new(0.7);
         for k in 0..100 {
             let u = -2.6 + 0.052 * f64::from(k);
-            let (value, slope) = edge.value(u);
+            let (value, slope) = across_edge(&TABLE, u);
             assert!((value - normal_distribution(u)).abs() < 1e-5);
             assert!((slope - (normal_distribution(u + 1e-3) - normal_distribution(u - 1e-3)) / 2e-3).abs() < 1e-3);
         }

@@ -63,6 +63,8 @@ pub struct Options {
     pub white: Option<f64>,
     /// Radius of a marker's image (px), where it is known; otherwise that of the image's other markers.
     pub radius_px: Option<f64>,
+    /// Blur of the edges (px, the pixels' own size included), where it is known; otherwise it is fitted to some blobs.
+    pub blur_px: Option<f64>,
     /// Components of fewer bright pixels are noise.
     pub least_pixels: usize,
     /// Blobs given out at most, brightest first: an overexposed frame must not take all time.
@@ -71,7 +73,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { threshold: None, white: None, radius_px: None, least_pixels: 2, most_blobs: 10_000 }
+        Self { threshold: None, white: None, radius_px: None, blur_px: None, least_pixels: 2, most_blobs: 10_000 }
     }
 }
 
@@ -138,16 +140,17 @@ pub fn detect<V: Value>(image: &Image<'_, V>, options: &Options) -> Detected {
     }
     let moments: Vec<Moments> = found.iter().map(|c| Moments::of(image, c, &level)).collect();
     let starts: Vec<Disk> = moments.iter().map(Moments::disk).collect();
-    let edge = Edge::of(image, &starts, &level);
+    let known = options.blur_px.map(|width_px| Edge { width_px });
+    let edge = known.unwrap_or_else(|| Edge::of(image, &starts, &level));
     let mut seen: Vec<Seen> = Vec::with_capacity(found.len());
     for ((component, moments), start) in found.iter().zip(&moments).zip(&starts) {
         let is_saturated = level.background + moments.peak >= white;
         let is_clipped = component.touches(image.width, image.height);
-        let fitted = (!is_saturated && !is_clipped).then(|| disk::fit(image, start, &level, &edge)).flatten();
+        let fitted = (!is_saturated && !is_clipped).then(|| disk::fit(image, start, &level, edge)).flatten();
         seen.push(Seen { component, moments, start, fitted, is_saturated, is_clipped });
     }
     let radius = options.radius_px.or_else(|| usual_radius(&seen));
-    let blobs = seen.iter().flat_map(|s| s.blobs(image, &level, &edge, radius)).collect();
+    let blobs = seen.iter().flat_map(|s| s.blobs(image, &level, edge, radius)).collect();
     Detected { blobs, level, edge, left_out }
 }
 
@@ -189,7 +192,7 @@ fn is_disk(disk: &Disk) -> bool {
 
 impl Seen<'_> {
     /// The markers of a component: one, or several that have run together.
-    fn blobs<V: Value>(&self, image: &Image<'_, V>, level: &Level, edge: &Edge, radius: Option<f64>) -> Vec<Blob> {
+    fn blobs<V: Value>(&self, image: &Image<'_, V>, level: &Level, edge: Edge, radius: Option<f64>) -> Vec<Blob> {
         let whole = self.fitted.filter(is_disk);
         let several = |r: f64| self.moments.mass > SEVERAL * std::f64::consts::PI * r * r * self.moments.peak;
         if let (None, Some(radius), false) = (whole, radius, self.is_clipped) {
@@ -215,7 +218,7 @@ impl Seen<'_> {
         vec![self.blob(&disk, level, edge)]
     }
 
-    fn blob(&self, disk: &Disk, level: &Level, edge: &Edge) -> Blob {
+    fn blob(&self, disk: &Disk, level: &Level, edge: Edge) -> Blob {
         Blob {
             pixel: disk.center.into(),
             sigma_px: disk.sigma_px(level, edge),

@@ -37,8 +37,9 @@ impl Component {
     }
 }
 
-/// Pixels looked at together: dark ones, nearly all, are passed over so many at a time.
+/// Pixels looked at together: dark ones, nearly all, are passed over so many at a time; then, near bright ones, fewer.
 const CHUNK: usize = 64;
+const PART: usize = 16;
 
 /// All components of pixels above `limit`, in ascending order of their first row, then column.
 pub fn components<V: Value>(image: &Image<'_, V>, limit: V) -> Vec<Component> {
@@ -70,30 +71,29 @@ pub fn components<V: Value>(image: &Image<'_, V>, limit: V) -> Vec<Component> {
 }
 
 fn runs_of_row<V: Value>(values: &[V], limit: V, row: usize, runs: &mut Vec<Run>) {
+    let is_dark = |part: &[V]| part.iter().copied().fold(V::at_most(0.0), V::max) <= limit;
     let mut open: Option<usize> = None;
     for (k, chunk) in values.chunks(CHUNK).enumerate() {
-        let brightest = chunk.iter().copied().fold(V::at_most(0.0), V::max);
-        let left = k * CHUNK;
-        if brightest <= limit {
-            if let Some(first) = open.take() {
-                runs.push(Run { row, first, last: left });
-            }
+        if is_dark(chunk) {
+            runs.extend(open.take().map(|first| Run { row, first, last: k * CHUNK }));
             continue;
         }
-        for (x, value) in chunk.iter().enumerate() {
-            match (open, *value > limit) {
-                (None, true) => open = Some(left + x),
-                (Some(first), false) => {
-                    runs.push(Run { row, first, last: left + x });
-                    open = None;
+        for (j, part) in chunk.chunks(PART).enumerate() {
+            let left = k * CHUNK + j * PART;
+            if is_dark(part) {
+                runs.extend(open.take().map(|first| Run { row, first, last: left }));
+                continue;
+            }
+            for (x, value) in part.iter().enumerate() {
+                if *value > limit {
+                    open = open.or(Some(left + x));
+                } else {
+                    runs.extend(open.take().map(|first| Run { row, first, last: left + x }));
                 }
-                _ => {}
             }
         }
     }
-    if let Some(first) = open {
-        runs.push(Run { row, first, last: values.len() });
-    }
+    runs.extend(open.map(|first| Run { row, first, last: values.len() }));
 }
 
 /// Joins runs of a row with those of the row above that they touch.
