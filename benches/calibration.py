@@ -199,7 +199,10 @@ def real() -> None:
     ratio = [c.focal_px[0] / vendor.cameras[vendor.ids.index(c.id)].focal_px[0] - 1 for c in made.rig.cameras]
     print(f"verdict {report['verdict']}, {report['poses']} poses, {seconds:.1f} s")
     print(f"median residual on poses left out {report['left_out_residual_px']['median']:.4f} px")
-    print(f"wand dots used {report['observations_used']:.4f}")
+    print(
+        f"dots used {report['observations_used']:.4f} of those near the wand, "
+        f"{report['observations'] / len(take):.4f} of all"
+    )
     print(
         f"wand lengths: std {report['wand_length_mm']['std']:.3f}, robust {report['wand_length_mm']['spread']:.3f} mm"
     )

@@ -176,22 +176,12 @@ def simulate(
     elsewhere = ("scene", "rig", "folder", "video", "marker_mm", "volume", "report", "quiet")
     given = {k: v for k, v in locals().items() if k not in (*elsewhere, "elsewhere")}
     if scene == "coverage":
-        cameras_of = make_rig(make_scene("walk", **given)) if rig is None else formats.read_calibration(rig)
-        found = run_coverage(
-            cameras_of,
-            sigma_px=0.1 if sigma_px is None else sigma_px,
-            marker_mm=marker_mm,
-            volume_m=None if volume is None else _volume(volume),
-        )
+        planned = make_rig(make_scene("walk", **given)) if rig is None else formats.read_calibration(rig)
+        noise_px, box = 0.1 if sigma_px is None else sigma_px, None if volume is None else _volume(volume)
+        found = run_coverage(planned, sigma_px=noise_px, marker_mm=marker_mm, volume_m=box)
         save_coverage(found, folder)
         warn(quiet, found.report["warnings"])
-        three = found.report["sigma_mm_by_three"]
-        say(
-            quiet,
-            f"{found.report['share_by_cameras'].get('3', 0.0):.0%} of the volume in view of 3 cameras or more, "
-            f"expected error there {three['median']:.3f} mm (95 % below {three['p95']:.3f}) → "
-            f"{folder / 'coverage.html'}",
-        )
+        say(quiet, _of_coverage(found.report, folder))
         finish(report, [] if rig is None else [rig], {"scene": scene, **given}, found.report)
         return
     if rig is not None:
@@ -207,6 +197,14 @@ def simulate(
         f"{made.frames} frames, {len(take.observations)} observations of {len(take.rig)} cameras in {folder}",
     )
     finish(report, [], {"scene": scene, **given}, {"frames": made.frames})
+
+
+def _of_coverage(result: dict[str, Any], folder: Path) -> str:
+    three = result["sigma_mm_by_three"]
+    return (
+        f"{result['share_by_cameras'].get('3', 0.0):.0%} of the volume in view of 3 cameras or more, expected error "
+        f"there {three['median']:.3f} mm (95 % below {three['p95']:.3f}) → {folder / 'coverage.html'}"
+    )
 
 
 def _volume(text: str) -> Box:
@@ -293,16 +291,13 @@ def track(
     """
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     wanted = frame_range(frames)
-    if calibration_out is not None and (not refine_calibration or formats.ending(calibration_out) != ".toml"):
-        raise typer.BadParameter("--calibration-out FILE.toml belongs to --refine-calibration")
+    if calibration_out is not None:
+        if not refine_calibration:
+            raise typer.BadParameter("--calibration-out belongs to --refine-calibration")
+        formats.check_calibration_output(calibration_out)
     if calibration is None:
-        dots_only = {
-            "--assignments": assignments,
-            "--noise-px": noise_px,
-            "--refine-calibration": refine_calibration or None,
-        }
-        for option in (o for o, value in dots_only.items() if value is not None):
-            raise typer.BadParameter(f"{option} is for dots, which need --calibration")
+        refine = refine_calibration or None
+        _refuse_for_points({"--assignments": assignments, "--noise-px": noise_px, "--refine-calibration": refine})
         _check_points_ending(output)
         source, rig = formats.read_points(take), None
         source = source if rate_hz is None else _with_rate(source, rate_hz)
@@ -335,6 +330,12 @@ def track(
         f"and {result['predicted_per_frame']:.2f} predicted points per frame, {residual} → {output}",
     )
     finish(report, [take] if calibration is None else [take, calibration], options, result)
+
+
+def _refuse_for_points(dots_only: dict[str, object]) -> None:
+    """Refuse options that were given although they are for dots."""
+    for option in (o for o, value in dots_only.items() if value is not None):
+        raise typer.BadParameter(f"{option} is for dots, which need --calibration")
 
 
 def _check_points_ending(output: Path) -> str:
