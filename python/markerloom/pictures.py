@@ -74,7 +74,9 @@ def _frustum(view: View, rig: Rig, camera: int, depth_m: float) -> list[str]:
     one = rig.cameras[camera]
     width, height = one.size_px
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], float)
-    rays = rig.rays(camera, corners)
+    # Without the lens: in its corners a calibrated one need not have a ray.
+    ahead = np.column_stack([(corners - one.principal_px) / one.focal_px, np.ones(4)])
+    rays = ahead / np.linalg.norm(ahead, axis=1)[:, None] @ one.rotation
     tips = view(one.position_m + depth_m * rays)
     apex = view(one.position_m)[0]
     parts = [line(apex, tip, BLUE, 0.8) for tip in tips]
