@@ -36,6 +36,7 @@ from markerloom.points import Points
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Lens, Mask, Rig
 from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
+from markerloom.sync import Clock, Synced, sync
 from markerloom.track import TrackedFrame, Tracker, track
 from markerloom.track_page import save_track_page
 from markerloom.triangulate import Triangulated, triangulate, two_rays
@@ -45,6 +46,7 @@ __all__ = [
     "Calibration",
     "Camera",
     "CameraView",
+    "Clock",
     "Coverage",
     "Demo",
     "Explanation",
@@ -57,6 +59,7 @@ __all__ = [
     "RigStream",
     "Scene",
     "SimulatedTake",
+    "Synced",
     "TrackedFrame",
     "TrackedTake",
     "Tracker",
@@ -96,6 +99,7 @@ __all__ = [
     "save_track_page",
     "save_videos",
     "simulate",
+    "sync",
     "track",
     "triangulate",
     "truth_from_assignments",

@@ -40,12 +40,14 @@ from markerloom.reconstruct import reconstruct as run_reconstruct
 from markerloom.rig import Rig
 from markerloom.simulate import PRESETS, make_rig, make_scene, save
 from markerloom.simulate import simulate as run_simulate
+from markerloom.sync.cli import sync
 from markerloom.track import track as run_track
 from markerloom.track_page import save_track_page
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
+app.command()(sync)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
@@ -160,6 +162,12 @@ def simulate(
     clutter_per_frame: Annotated[float | None, typer.Option(help="False dots per camera and frame.")] = None,
     reflections: Annotated[int | None, typer.Option(help="Fixed reflections per camera.")] = None,
     wand: Annotated[str | None, typer.Option(help="Of scene 'wand': a name, or a .toml file.")] = None,
+    offset_frames: Annotated[
+        float | None, typer.Option(help="Every second camera has a clock of its own, so much later.")
+    ] = None,
+    drift_ppm: Annotated[float | None, typer.Option(help="How much slower that clock runs.")] = None,
+    leds: Annotated[bool | None, typer.Option("--leds", help="Markers are LEDs that blink their identity.")] = None,
+    bit_errors: Annotated[float | None, typer.Option(help="Share of the LEDs' bits that are read wrongly.")] = None,
     video: Annotated[bool, typer.Option("--video", help="Film the take too: CAMERA.mkv for each camera.")] = False,
     marker_mm: Annotated[float, typer.Option(help="Of coverage and video: diameter of a marker.")] = 14.0,
     volume: Annotated[

@@ -14,7 +14,7 @@ from markerloom.rig import Rig, natural_key
 
 Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
-OPTIONAL_COLUMNS = ("time_s", "radius", "sigma", "quality", "id")
+OPTIONAL_COLUMNS = ("time_s", "timecode_s", "radius", "brightness", "sigma", "quality", "id")
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,48 @@ def all_frames(frame: Ints, source: str) -> Ints:
             f"the frame numbers are damaged or belong to several takes ({source})"
         )
     return np.arange(first, last + 1)
+
+
+def framed_by_time(observations: Observations) -> Observations:
+    """The rows in frames of one clock: each goes to the frame nearest to its ``time_s``.
+
+    Frame numbers stay where they fit the time already; the camera with most dots decides what number a time has. Where
+    a camera has two frames nearest to one, the nearer counts, and a warning tells of the other.
+    """
+    time_s, rate = observations.optional["time_s"], observations.rate_hz
+    if rate is None:
+        raise InputError(f"its frame rate is not known: state it with --rate-hz ({observations.source})")
+    known = np.isfinite(time_s)
+    exact = np.where(known, time_s * rate, observations.frame)
+    frame = np.floor(exact + 0.5).astype(np.int64)
+    usual = np.bincount(observations.camera[known]).argmax() if known.any() else 0
+    own = known & (observations.camera == usual)
+    if own.any():
+        frame = frame + int(np.median(observations.frame[own] - frame[own]))
+    # Of several frames of a camera that fall into one, only the nearest stays.
+    offset = np.abs(exact - np.floor(exact + 0.5))
+    order = np.lexsort((observations.frame, offset, observations.camera, frame))
+    first = np.ones(len(order), bool)
+    same = (np.diff(frame[order]) == 0) & (np.diff(observations.camera[order]) == 0)
+    first[1:] = ~same
+    chosen = observations.frame[order][np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))]
+    keep = np.zeros(len(order), bool)
+    keep[order] = observations.frame[order] == chosen
+    notes = list(observations.warnings)
+    _count(~keep, notes, "observations are left out: their camera had a frame nearer to the same moment")
+    renamed = replace(observations, frame=frame, frames=np.zeros(0, np.int64), warnings=tuple(notes))
+    kept = renamed._keep(keep)
+    order = np.lexsort((np.arange(len(kept)), kept.camera, kept.frame))
+    optional = {name: column[order] for name, column in kept.optional.items()}
+    frames = all_frames(kept.frame, observations.source)
+    return replace(
+        kept,
+        frame=kept.frame[order],
+        camera=kept.camera[order],
+        pixel=kept.pixel[order],
+        optional=optional,
+        frames=frames,
+    )
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from markerloom import _core
 from markerloom.calibrate.wands import read_wand
 from markerloom.errors import InputError, RigError
+from markerloom.filmed import Capsule, Filmed, Pose, recordings_of
 from markerloom.formats import calib_toml, table_file, write_observations
 from markerloom.formats.files import write_text
 from markerloom.observations import Observations
@@ -54,6 +55,16 @@ class Scene:
     box_y_m: float = EXP61_BOX_M[1]
     box_z_m: float = EXP61_BOX_M[2]
     wand: str = "vicon-t"
+    offset_frames: float = 0.0
+    drift_ppm: float = 0.0
+    leds: bool = False
+    bit_errors: float = 0.05
+
+    @property
+    def has_two_clocks(self) -> bool:
+        """Whether every second camera has a clock of its own: its frame n shows n · (1 + drift) + offset."""
+        return self.offset_frames != 0.0 or self.drift_ppm != 0.0
+
 
     @property
     def center_m(self) -> tuple[float, float, float]:
@@ -99,6 +110,10 @@ class SimulatedTake:
     truth: Points
     truth_assignments: pa.Table
 
+    def recordings(self) -> list[Observations]:
+        """What the recorders of the take would have written: one for each clock, with its own frame numbers."""
+        return recordings_of(self.observations, self.scene, self.rig)
+
 
 def make_scene(name: str, **changes: object) -> Scene:
     """A preset with changes; values of ``None`` are not changes."""
@@ -125,6 +140,10 @@ def make_scene(name: str, **changes: object) -> Scene:
     for field_name in ("sigma_px", "merge_px", "clutter_per_frame", "reflections", "seed"):
         if not 0 <= getattr(scene, field_name) < 1e9:
             raise InputError(f"{field_name} must not be negative or huge, but is {getattr(scene, field_name)}")
+    if scene.has_two_clocks and scene.scene in ("exp61", "cloud"):
+        raise InputError(f"the points of scene '{scene.scene}' do not move: two clocks need walk, dance, duet or wand")
+    if not 0.0 <= scene.bit_errors < 0.5:
+        raise InputError(f"bit_errors must be a probability below 0.5, not {scene.bit_errors}")
     return scene
 
 
@@ -161,25 +180,15 @@ def simulate(scene: Scene, *, progress: Progress | None = None) -> SimulatedTake
     """Simulate a take; the same scene gives the same take on every machine."""
     rig = make_rig(scene)
     labels = _labels(scene)
-    rows: list[tuple[int, int, float, float]] = []
-    holders: list[tuple[int, str, int, str]] = []
+    filmed = Filmed(scene, rig, labels)
     positions = np.zeros((scene.frames, len(labels), 3))
     for frame in range(scene.frames):
-        markers, capsules = _markers(scene, frame)
-        positions[frame] = markers
-        _see(scene, rig, frame, markers, capsules, labels, rows, holders)
+        positions[frame], capsules = _markers(scene, frame)
+        filmed.add(frame, positions[frame].tolist(), capsules)
         if progress:
             progress(frame + 1, scene.frames)
-    table = np.array(rows, float).reshape(-1, 4)
-    observations = Observations(
-        frame=table[:, 0].astype(np.int64),
-        camera=table[:, 1].astype(np.int64),
-        camera_ids=tuple(rig.ids),
-        pixel=table[:, 2:].copy(),
-        rate_hz=scene.rate_hz,
-        frames=np.arange(scene.frames),
-        source=f"simulated {scene.scene}",
-    )
+    if scene.has_two_clocks:
+        filmed.add_second_clock(lambda moment: _markers(scene, moment))
     frame_of, marker_of = np.divmod(np.arange(scene.frames * len(labels)), len(labels))
     truth = Points.of(
         frame_of,
@@ -190,9 +199,7 @@ def simulate(scene: Scene, *, progress: Progress | None = None) -> SimulatedTake
         frames=np.arange(scene.frames),
         source=f"simulated {scene.scene}",
     )
-    columns = list(zip(*holders, strict=True)) or [[], [], [], []]
-    names = ("frame", "camera", "observation", "label")
-    return SimulatedTake(scene, rig, observations, truth, pa.table(dict(zip(names, map(list, columns), strict=True))))
+    return SimulatedTake(scene, rig, filmed.observations(), truth, filmed.assignments())
 
 
 def _labels(scene: Scene) -> list[str]:
@@ -218,15 +225,16 @@ def _figures(scene: Scene) -> list[tuple[str, int, int, tuple[float, float, floa
     ]
 
 
-def _markers(scene: Scene, frame: int) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]:
+def _markers(scene: Scene, frame: float) -> Pose:
+    """Markers and what hides them at a frame, or between two where the scene moves."""
     if scene.scene == "wand":
         return wave(scene, frame), []
     if scene.scene not in FIGURES:
         box = (scene.box_x_m, scene.box_y_m, scene.box_z_m)
-        return _core.cloud(scene.seed, frame, scene.markers, box, scene.center_m), []
+        return _core.cloud(scene.seed, int(frame), scene.markers, box, scene.center_m), []
     time_s = frame / scene.rate_hz
     markers: list[list[float]] = []
-    capsules: list[tuple[list[float], list[float], float]] = []
+    capsules: list[Capsule] = []
     for motion, count, seed, center in _figures(scene):
         own = _core.body_pose(motion, count, seed, center, time_s)
         markers += own[0]
@@ -238,7 +246,7 @@ WAVES_HZ = (0.11, 0.17, 0.29, 0.41)
 """Frequencies of the sines of which a wave consists: none is a multiple of another, so that it never repeats."""
 
 
-def wave(scene: Scene, frame: int) -> list[list[float]]:
+def wave(scene: Scene, frame: float) -> list[list[float]]:
     """Places (m) of the wand's markers: positions and turns are sums of slow sines with phases from the seed."""
     phase = np.random.default_rng([scene.seed, 0x3A4D]).uniform(0.0, 2.0 * np.pi, (6, len(WAVES_HZ)))
     time_s = frame / scene.rate_hz
@@ -252,41 +260,11 @@ def wave(scene: Scene, frame: int) -> list[list[float]]:
     return ((places - places.mean(axis=0)) @ turn.T + middle).tolist()
 
 
-def _see(
-    scene: Scene,
-    rig: Rig,
-    frame: int,
-    markers: list[list[float]],
-    capsules: list[tuple[list[float], list[float], float]],
-    labels: list[str],
-    rows: list[tuple[int, int, float, float]],
-    holders: list[tuple[int, str, int, str]],
-) -> None:
-    """Append the dots of one frame, and whose they are."""
-    try:
-        dots = _core.observe(
-            rig.core,
-            markers,
-            capsules,
-            scene.sigma_px,
-            scene.hide,
-            scene.merge_px,
-            scene.clutter_per_frame,
-            scene.reflections,
-            scene.seed,
-            frame,
-        )
-    except RigError as error:
-        raise InputError(str(error)) from None
-    count = [0] * len(rig)
-    for camera, x, y, whose in dots:
-        rows.append((frame, camera, x, y))
-        holders += [(frame, rig.cameras[camera].id, count[camera], labels[m]) for m in whose]
-        count[camera] += 1
-
-
 def save(take: SimulatedTake, folder: str | Path) -> None:
-    """Write calibration.toml, observations.parquet, truth.parquet, truth_assignments.parquet and scene.toml."""
+    """Write calibration.toml, observations.parquet, truth.parquet, truth_assignments.parquet and scene.toml.
+
+    With two clocks also recording_1.parquet and recording_2.parquet: what the recorders would have written.
+    """
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -294,6 +272,9 @@ def save(take: SimulatedTake, folder: str | Path) -> None:
         raise InputError(f"the folder {folder} cannot be made: {error.strerror}") from None
     calib_toml.write(take.rig, folder / "calibration.toml")
     write_observations(take.observations, folder / "observations.parquet")
+    if take.scene.has_two_clocks:
+        for number, recording in enumerate(take.recordings(), start=1):
+            write_observations(recording, folder / f"recording_{number}.parquet")
     truth = take.truth
     table = pa.table(
         {

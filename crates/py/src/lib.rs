@@ -2,6 +2,7 @@
 
 #![allow(clippy::needless_pass_by_value, reason = "what Python hands over is owned by the call")]
 
+mod active;
 mod c3d;
 mod calibrate;
 mod conv;
@@ -10,6 +11,7 @@ mod errors;
 mod hidden;
 mod reconstruct;
 mod rig;
+mod sync;
 mod synth;
 mod track;
 mod track_points;
@@ -37,6 +39,9 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(reconstruct::candidates, module)?)?;
     module.add_function(wrap_pyfunction!(triangulate::triangulate, module)?)?;
     module.add_function(wrap_pyfunction!(triangulate::two_rays, module)?)?;
+    module.add_function(wrap_pyfunction!(active::led_codes, module)?)?;
+    module.add_function(wrap_pyfunction!(active::decode_leds, module)?)?;
+    module.add_function(wrap_pyfunction!(sync::synchronise, module)?)?;
     module.add_function(wrap_pyfunction!(synth::observe, module)?)?;
     module.add_function(wrap_pyfunction!(synth::cloud, module)?)?;
     module.add_function(wrap_pyfunction!(synth::body_labels, module)?)?;

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from markerloom.errors import FormatError
-from markerloom.formats import table_file
+from markerloom.errors import FormatError, InputError
+from markerloom.formats import table_file, timecode
 from markerloom.observations import OPTIONAL_COLUMNS, Observations, concatenate_ids
 
 
@@ -36,16 +36,26 @@ def _of_observations(table: pa.Table, path: str | Path) -> Observations:
         raise FormatError(path, "no observation in it")
     camera, ids = concatenate_ids(table_file.text(table, "camera"))
     names = [n for n in OPTIONAL_COLUMNS if n in table.column_names]
+    optional = {n: table_file.number(table, n, path) for n in names}
+    if "timecode" in table.column_names:
+        optional["timecode_s"] = _timecodes(table, path)
     pixel = np.column_stack([table_file.number(table, "x", path), table_file.number(table, "y", path)])
     return Observations(
         frame=table_file.integer(table, "frame", path),
         camera=camera,
         camera_ids=ids,
         pixel=pixel,
-        optional={n: table_file.number(table, n, path) for n in names},
+        optional=optional,
         rate_hz=table_file.rate(table),
         source=str(path),
     )
+
+
+def _timecodes(table: pa.Table, path: str | Path) -> np.ndarray:
+    try:
+        return timecode.seconds(table_file.text(table, "timecode"))
+    except InputError as error:
+        raise FormatError(path, str(error), where="column 'timecode'") from None
 
 
 def _of_dump(table: pa.Table, path: str | Path) -> Observations:

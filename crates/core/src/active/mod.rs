@@ -1,0 +1,4 @@
+//! Active markers: LEDs that tell who they are by blinking.
+
+pub mod codes;
+pub mod decode;
