@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from markerloom import formats
+from markerloom.active import decode_leds, led_codes
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
 from markerloom.calibrate.check import check_rig
@@ -73,6 +74,7 @@ __all__ = [
     "check_rig",
     "convert",
     "coverage",
+    "decode_leds",
     "demo",
     "detect",
     "detect_markers",
@@ -81,6 +83,7 @@ __all__ = [
     "grey_images",
     "inspect",
     "knock",
+    "led_codes",
     "learn_mask",
     "make_scene",
     "origin_from_floor",

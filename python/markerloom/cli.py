@@ -16,6 +16,7 @@ from rich.table import Table
 
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.active import decode_leds
 from markerloom.bench import HEADER as BENCH_HEADER
 from markerloom.bench import choose, measure
 from markerloom.bench import line as bench_line
@@ -373,6 +374,28 @@ def _with_rate(take: Any, rate_hz: float) -> Any:
     if not 0 < rate_hz < 1e6:
         raise typer.BadParameter(f"{rate_hz} Hz is no frame rate", param_hint="--rate-hz")
     return replace(take, rate_hz=rate_hz)
+
+
+@app.command()
+def leds(
+    observations: Annotated[Path, typer.Argument(help="Dots with their brightness: .parquet, .csv or .csv.gz")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The same with identities: .parquet, .csv or .csv.gz")],
+    frames_per_bit: Annotated[int, typer.Option(help="Frames that a bit of an LED's code lasts.", min=1)] = 1,
+    report: ReportFile = None,
+    quiet: Quiet = False,
+) -> None:
+    """Decode who active markers are from their blinking: writes the column id, which track trusts.
+
+    Example: markerloom leds dots.parquet -o told.parquet
+    """
+    if formats.ending(output) not in formats.TABLE_ENDINGS:
+        raise typer.BadParameter(f"{output}: observations are written as {', '.join(formats.TABLE_ENDINGS)}")
+    told, result = decode_leds(formats.read_observations(observations), frames_per_bit=frames_per_bit)
+    formats.write_observations(told, output)
+    warn(quiet, result["warnings"])
+    dots = sum(own["told"] for own in result["cameras"].values())
+    say(quiet, f"{dots} of {len(told)} dots tell who they are: {len(result['identities'])} identities → {output}")
+    finish(report, [observations], {"frames_per_bit": frames_per_bit}, result)
 
 
 @app.command()

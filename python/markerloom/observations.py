@@ -131,7 +131,7 @@ def framed_by_time(observations: Observations) -> Observations:
 class MatchedDots:
     """Observations that belong to a rig's cameras, ordered by frame, as the engine takes them.
 
-    ``row`` (m,): the observation's row in the input. ``observation`` (m,): its index within its frame and camera.
+    ``hardware`` (m,): identity that an active marker told, −1 for none. ``row`` (m,): the observation's row in the input. ``observation`` (m,): its index within its frame and camera.
     """
 
     frames: Ints
@@ -141,28 +141,32 @@ class MatchedDots:
     sigma: Array
     row: Ints
     observation: Ints
+    hardware: Ints
     warnings: tuple[str, ...]
 
-    def of_frames(self, first: int, last: int) -> tuple[Ints, Ints, Array, Array]:
-        """Starts, camera, pixel and sigma of the frames with index ``first`` to before ``last``."""
+    def of_frames(self, first: int, last: int) -> tuple[Ints, Ints, Array, Array, Ints]:
+        """Starts, camera, pixel, sigma and identity of the frames with index ``first`` to before ``last``."""
         low, high = self.starts[first], self.starts[last]
         return (
             self.starts[first : last + 1] - low,
             self.camera[low:high],
             self.pixel[low:high],
             self.sigma[low:high],
+            self.hardware[low:high],
         )
 
 
 class DotArrays:
     """The shape in which the engine takes dots."""
 
-    def __init__(self, starts: Ints, camera: Ints, pixel: Array, sigma: Array) -> None:
+    def __init__(self, starts: Ints, camera: Ints, pixel: Array, sigma: Array, hardware: Ints | None = None) -> None:
         """Make the arrays contiguous and of the engine's types."""
         self.starts = np.ascontiguousarray(starts, np.int64)
         self.camera = np.ascontiguousarray(camera, np.int64)
         self.pixel = np.ascontiguousarray(pixel, np.float64).reshape(-1, 2)
         self.sigma = np.ascontiguousarray(sigma, np.float64)
+        none = np.full(len(self.sigma), -1)
+        self.hardware = np.ascontiguousarray(none if hardware is None else hardware, np.int64)
 
 
 def match(observations: Observations, rig: Rig) -> MatchedDots:
@@ -192,6 +196,7 @@ def match(observations: Observations, rig: Rig) -> MatchedDots:
         sigma=sigma[order],
         row=order.astype(np.int64),
         observation=within[order],
+        hardware=_hardware(observations, warnings)[order],
         warnings=tuple(warnings),
     )
 
@@ -293,6 +298,17 @@ def _sigma(observations: Observations, warnings: list[str]) -> Array:
     _count(~good, warnings, "observations without a usable sigma get the median sigma")
     typical = float(np.median(sigma[good])) if np.any(good) else 1.0
     return np.where(good, sigma / typical, 1.0)
+
+
+def _hardware(observations: Observations, warnings: list[str]) -> Ints:
+    """Identities of active markers; −1 where there is none."""
+    column = observations.optional.get("id")
+    if column is None:
+        return np.full(len(observations), -1, np.int64)
+    told = np.isfinite(column) & (column != -1)
+    bad = told & ((column < 0) | (column != np.round(column)) | (column > 2**32 - 2))
+    _count(bad, warnings, "identities that are no whole number from 0 on are ignored")
+    return np.where(told & ~bad, np.nan_to_num(column), -1).astype(np.int64)
 
 
 def concatenate_ids(camera: Iterable[object]) -> tuple[Ints, tuple[str, ...]]:

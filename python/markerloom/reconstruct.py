@@ -13,6 +13,7 @@ import pyarrow as pa
 from markerloom import _core
 from markerloom.bumped import Moves
 from markerloom.errors import InputError
+from markerloom.moments import has_several_clocks
 from markerloom.observations import DotArrays, MatchedDots, Observations, match
 from markerloom.points import Points
 from markerloom.rig import Rig
@@ -57,6 +58,11 @@ def reconstruct(
     clock = time.perf_counter()
     stages = {}
     rig, dots, notes = usable_dots(observations, rig)
+    if has_several_clocks(observations):
+        notes.append(
+            "the cameras saw the frames at different moments (time_s): the rays of markers that move do not meet; track "
+            "knows of that, single frames do not"
+        )
     stages["match"] = time.perf_counter() - clock
     model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
     stages["estimate"] = time.perf_counter() - clock - stages["match"]
@@ -136,7 +142,7 @@ def as_points(
     return Reconstruction(
         frame=dots.frames[frame_index].astype(np.int64),
         track=track.astype(np.int64),
-        label=np.full(n, "", dtype="<U1"),
+        label=_told_names(track, solved["hardware"]) if "hardware" in solved else np.full(n, "", dtype="<U1"),
         xyz_mm=1000.0 * solved["point_m"],
         sigma_mm=1000.0 * np.sqrt(variance),
         rays=solved["sizes"].astype(np.int64),
@@ -152,6 +158,16 @@ def as_points(
         assignments=assignments,
         report=report,
     )
+
+
+def _told_names(track: np.ndarray, hardware: np.ndarray) -> np.ndarray:
+    """Names of active markers' trajectories, by the identity that each told most often: "id17"; empty for the others."""
+    label = np.full(len(track), "", dtype="<U12")
+    told = hardware >= 0
+    for one in np.unique(track[told]):
+        identities, counts = np.unique(hardware[told & (track == one)], return_counts=True)
+        label[track == one] = f"id{identities[counts.argmax()]}"
+    return label
 
 
 def _number_within_frame(frame_index: np.ndarray) -> np.ndarray:
@@ -182,16 +198,22 @@ def _report(
     }
 
 
-def residual_by_camera(solved: dict[str, Any], dots: MatchedDots, cameras: Moves) -> dict[str, float]:
-    """Root mean square distance of dots and reprojections by camera (px)."""
+def residual_by_camera(
+    solved: dict[str, Any], dots: MatchedDots, cameras: Moves, lag_s: np.ndarray | None = None
+) -> dict[str, float]:
+    """Root mean square distance of dots and reprojections by camera (px). ``lag_s``: of each dot behind its frame."""
     owner = np.repeat(np.arange(len(solved["frame"])), solved["sizes"])
     camera, pixel = dots.camera[solved["dots"]], dots.pixel[solved["dots"]]
     frame = dots.frames[solved["frame"]][owner]
+    # Where cameras saw a frame at different moments, each marker as it was at its camera's.
+    place = solved["point_m"][owner]
+    if lag_s is not None:
+        place = place + solved["velocity_mps"][owner] * lag_s[solved["dots"], None]
     error = np.zeros_like(pixel)
     for first, last, rig in cameras.parts():
         for i in range(len(rig)):
             rows = (camera == i) & (first <= frame) & (frame < last)
-            error[rows] = rig.project(i, solved["point_m"][owner[rows]]) - pixel[rows]
+            error[rows] = rig.project(i, place[rows]) - pixel[rows]
     length = np.linalg.norm(error, axis=1)
     return {one.id: statistics(length[camera == i])["rms"] for i, one in enumerate(cameras.rig.cameras)}
 

@@ -65,7 +65,6 @@ class Scene:
         """Whether every second camera has a clock of its own: its frame n shows n · (1 + drift) + offset."""
         return self.offset_frames != 0.0 or self.drift_ppm != 0.0
 
-
     @property
     def center_m(self) -> tuple[float, float, float]:
         """What the cameras look at: figures stand on the floor, clouds float at the origin."""

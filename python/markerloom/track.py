@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +17,8 @@ from markerloom.bumped import Moves, found_moves, warning
 from markerloom.calibrate.refine import refine_rig
 from markerloom.errors import InputError
 from markerloom.explain import Seen, TrackedTake, gaps
-from markerloom.observations import DotArrays, MatchedDots, Observations, match
+from markerloom.moments import Moments, dots_for_estimates, moment, moments_of
+from markerloom.observations import DotArrays, MatchedDots, Observations, framed_by_time, match
 from markerloom.points import KINDS, Points
 from markerloom.reconstruct import (
     CHUNK_FRAMES,
@@ -43,7 +45,8 @@ class TrackedFrame:
     """What one frame gave: one row per marker, in ascending order of ``tracks``.
 
     ``points_mm`` (n, 3); ``sigmas_mm`` (n,) = √trace of the position's covariance; ``kinds``: ``measured`` or
-    ``predicted``; ``rays``, ``residuals_px``, ``confidences`` (n,).
+    ``predicted``; ``rays``, ``residuals_px``, ``confidences`` (n,); ``ids`` (n,): identities that active markers told,
+    −1 for none.
     """
 
     points_mm: Array
@@ -53,6 +56,7 @@ class TrackedFrame:
     rays: Ints
     residuals_px: Array
     confidences: Array
+    ids: Ints
 
 
 class Tracker:
@@ -70,6 +74,7 @@ class Tracker:
         """Prepare for the cameras of ``rig``."""
         self._rig = rig
         self._index = {camera.id: i for i, camera in enumerate(rig.cameras)}
+        self._rate_hz, self._frame = rate_hz, -1
         self._core = _core.Tracker(rig.core, None, rate_hz, noise_px, heal=refine_calibration)
 
     @property
@@ -78,15 +83,24 @@ class Tracker:
         return found_moves(self._rig, self._core.moved(False))
 
     def push(
-        self, dots: Mapping[str, ArrayLike], frame: int | None = None, time_s: float | None = None
+        self,
+        dots: Mapping[str, ArrayLike],
+        frame: int | None = None,
+        time_s: float | Mapping[str, float] | None = None,
     ) -> TrackedFrame:
-        """Take in the dots of one frame: for each camera that has any, (n, 2) pixels or (n, 3) pixels and sigma (px).
+        """Take in the dots of one frame: for each camera that has any, (n, 2) pixels, (n, 3) pixels and sigma (px), or
+        (n, 4) with the identities of active markers (−1: none) too.
 
         ``frame``: its number, one more than the last if missing; a jump is frames that were lost. ``time_s``: its time,
-        by number and rate if missing. Raises ``InputError`` for a camera that the rig lacks and for time that does not
-        move forwards.
+        by number and rate if missing; by camera where they saw it at different moments. Raises ``InputError`` for a
+        camera that the rig lacks and for time that does not move forwards.
         """
-        solved = self._core.push(self._arrays(dots), frame, time_s)
+        self._frame = self._frame + 1 if frame is None else frame
+        lag_s: list[float] = []
+        if isinstance(time_s, Mapping):
+            times = np.array([time_s.get(name, np.nan) for name in self._rig.ids], float)
+            time_s, lag_s = moment(self._frame, times, self._rate_hz)
+        solved = self._core.push(self._arrays(dots), self._frame, time_s, lag_s)
         variance = np.trace(solved["covariance_m2"], axis1=1, axis2=2)
         return TrackedFrame(
             points_mm=1000.0 * solved["point_m"],
@@ -96,6 +110,7 @@ class Tracker:
             rays=np.diff(solved["dot_starts"]),
             residuals_px=solved["residual_px"],
             confidences=solved["confidence"],
+            ids=solved["hardware"],
         )
 
     def _arrays(self, dots: Mapping[str, ArrayLike]) -> DotArrays:
@@ -107,14 +122,16 @@ class Tracker:
             table = np.asarray(values, float)
             if table.size == 0:
                 continue
-            if table.ndim != 2 or table.shape[1] not in (2, 3):
-                raise InputError(f"dots of camera '{name}' have the shape {table.shape}: (n, 2) or (n, 3) is needed")
-            rows.append(table if table.shape[1] == 3 else np.column_stack([table, np.ones(len(table))]))
+            if table.ndim != 2 or table.shape[1] not in (2, 3, 4):
+                raise InputError(f"dots of camera '{name}' have the shape {table.shape}: (n, 2), 3 or 4 is needed")
+            rows.append(np.column_stack([table, np.tile([1.0, -1.0], (len(table), 1))[:, table.shape[1] - 2 :]]))
             camera.append(np.full(len(table), self._index[name]))
-        table = np.concatenate(rows) if rows else np.zeros((0, 3))
+        table = np.concatenate(rows) if rows else np.zeros((0, 4))
         index = np.concatenate(camera) if camera else np.zeros(0, np.int64)
         keep = self._usable(table, index)
-        return DotArrays(np.array([0, keep.sum()]), index[keep], table[keep, :2], table[keep, 2])
+        return DotArrays(
+            np.array([0, keep.sum()]), index[keep], table[keep, :2], table[keep, 2], table[keep, 3].astype(np.int64)
+        )
 
     def _usable(self, table: Array, camera: Ints) -> NDArray[np.bool_]:
         """Rows that a take would use too: finite, in the image or hardly outside, with a sigma, not repeated."""
@@ -161,7 +178,7 @@ def track(
     if rig is None:
         raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
     observations = take if frames is None else take.select(*frames)
-    observations = replace(observations, rate_hz=_rate(observations, rate_hz))
+    observations = _in_frames_of_one_clock(replace(observations, rate_hz=_rate(observations, rate_hz)))
     if method == "paper" and refine_calibration:
         raise InputError("the method of the paper takes the calibration as it is: leave refine_calibration out")
     if causal and method == "default":
@@ -169,9 +186,14 @@ def track(
         notes = list(dots.warnings)
     else:
         rig, dots, notes = usable_dots(observations, rig)
-    run = _Run(observations, dots, notes, method, causal, noise_px, progress)
+    run = _Run(observations, dots, len(rig), notes, method, causal, noise_px, progress)
     if not refine_calibration or causal:
         return run.of(Moves(rig), heal=refine_calibration)
+    if run.moments.has_several_clocks:
+        final = run.of(run.moves(Moves(rig)))
+        reasons = ["the cameras saw the frames at different moments: refine the rig with a take in which nothing moves"]
+        final.report["refined"] = {"verdict": "refused", "reasons": reasons}
+        return final
     rig, refined = _refined(observations, run.moves(Moves(rig)))
     final = run.of(run.moves(Moves(rig)))
     final.report["refined"] = refined
@@ -184,24 +206,35 @@ class _Run:
 
     observations: Observations
     dots: MatchedDots
+    cameras: int
     notes: list[str]
     method: str
     causal: bool
     noise_px: float | None
     progress: Progress | None
 
+    @cached_property
+    def moments(self) -> Moments:
+        """When the frames were seen."""
+        return moments_of(self.observations, self.dots, self.cameras)
+
     def _recorded(self, known: Moves, heal: bool, stages: dict[str, float]) -> _core.Tracker:
         """A tracker that has seen the whole take."""
         clock = time.perf_counter()
         dots, rig, rate_hz = self.dots, known.rig, self.observations.rate_hz or 0.0
+        moments = self.moments
+        if self.method == "paper" and moments.has_several_clocks:
+            raise InputError(
+                "the method of the paper knows one clock only: the cameras saw the frames at different times"
+            )
         if self.causal and self.method == "default":
             tracker = _core.Tracker(rig.core, None, rate_hz, self.noise_px, heal=heal)
         else:
-            model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), self.noise_px)
+            model = _core.estimate_model(rig.core, dots_for_estimates(dots, moments, rig, rate_hz), self.noise_px)
             paper = self.method == "paper"
             tracker = _core.Tracker(rig.core, model, rate_hz, None, paper, planned=known.planned())
         stages["estimate"] = time.perf_counter() - clock
-        _record(tracker, dots, _times_s(self.observations, dots), self.progress)
+        _record(tracker, dots, moments, self.progress)
         stages["track"] = time.perf_counter() - clock - stages["estimate"]
         return tracker
 
@@ -218,7 +251,8 @@ class _Run:
         solved["sizes"] = np.diff(solved.pop("dot_starts"))
         found = found_moves(known.rig, tracker.moved(not heal))
         in_use = found if heal else known
-        report = _report(solved, self.dots, in_use, tracker, list(self.notes), self.causal, self.method)
+        lag_s = self.moments.of_dots(self.dots)
+        report = _report(solved, self.dots, in_use, tracker, list(self.notes), self.causal, self.method, lag_s)
         owner = np.full(len(self.dots.camera), -1, np.int64)
         owner[solved["dots"]] = np.repeat(solved["track"], solved["sizes"])
         seen = Seen(in_use, self.dots, owner, tuple(report["noise_px"].values()))
@@ -260,6 +294,22 @@ def _rate(observations: Observations, rate_hz: float | None) -> float:
     return rate
 
 
+def _in_frames_of_one_clock(observations: Observations) -> Observations:
+    """Cameras that number their frames apart, by their common time; other takes as they are."""
+    time_s = observations.optional.get("time_s")
+    if time_s is None or len(observations) == 0:
+        return observations
+    good = np.isfinite(time_s)
+    start = time_s[good] - observations.frame[good] / (observations.rate_hz or 1.0)
+    first = [start[observations.camera[good] == c] for c in np.unique(observations.camera[good])]
+    middles = [float(np.median(own)) for own in first]
+    if not middles or max(middles) - min(middles) <= 1.0 / (observations.rate_hz or 1.0):
+        return observations
+    framed = framed_by_time(observations)
+    note = "the cameras number their frames apart: frames were numbered anew, by their time"
+    return replace(framed, warnings=(*framed.warnings, note))
+
+
 def _as_pushed(observations: Observations, rig: Rig) -> MatchedDots:
     """The dots as a live user pushes them: every camera of the rig takes part, and nothing is known of later frames."""
     if len(observations) == 0:
@@ -272,32 +322,16 @@ def _as_pushed(observations: Observations, rig: Rig) -> MatchedDots:
     return replace(dots, sigma=own)
 
 
-def _times_s(observations: Observations, dots: MatchedDots) -> list[float | None]:
-    """Time of each frame: the mean of its dots' times, or between the neighbours'; ``None`` = by number and rate."""
-    column = observations.optional.get("time_s")
-    if column is None or not np.isfinite(column[dots.row]).any():
-        return [None] * len(dots.frames)
-    own = column[dots.row]
-    owner = np.repeat(np.arange(len(dots.frames)), np.diff(dots.starts))
-    good = np.isfinite(own)
-    count = np.bincount(owner[good], minlength=len(dots.frames))
-    total = np.bincount(owner[good], weights=own[good], minlength=len(dots.frames))
-    known = count > 0
-    mean = total[known] / count[known]
-    rate = observations.rate_hz or 1.0
-    at = dots.frames.astype(float)
-    times = np.interp(at, at[known], mean)
-    first, last = np.flatnonzero(known)[[0, -1]]
-    times[:first] = times[first] - (at[first] - at[:first]) / rate
-    times[last + 1 :] = times[last] + (at[last + 1 :] - at[last]) / rate
-    return times.tolist()
-
-
-def _record(tracker: _core.Tracker, dots: MatchedDots, times_s: list[float | None], progress: Progress | None) -> None:
+def _record(tracker: _core.Tracker, dots: MatchedDots, moments: Moments, progress: Progress | None) -> None:
     n = len(dots.frames)
     for first in range(0, n, CHUNK_FRAMES):
         last = min(first + CHUNK_FRAMES, n)
-        tracker.record(dot_arrays(dots, first, last), dots.frames[first:last].tolist(), times_s[first:last])
+        tracker.record(
+            dot_arrays(dots, first, last),
+            dots.frames[first:last].tolist(),
+            moments.times_s[first:last],
+            moments.lags_s[first:last],
+        )
         if progress:
             progress(last, n)
 
@@ -310,6 +344,7 @@ def _report(
     notes: list[str],
     causal: bool,
     method: str,
+    lag_s: Array | None,
 ) -> dict[str, Any]:
     frames = max(len(dots.frames), 1)
     measured = solved["kind"] == KINDS.index("measured")
@@ -330,7 +365,7 @@ def _report(
         "predicted_per_frame": float((~measured).sum() / frames),
         "rays_mean": float(solved["sizes"][measured].mean()) if measured.any() else 0.0,
         "residual_px": statistics(solved["residual_px"][measured]),
-        "residual_px_by_camera": residual_by_camera(solved, dots, cameras),
+        "residual_px_by_camera": residual_by_camera(solved, dots, cameras, lag_s),
         "certified_frames": float(solved["certified"].mean()) if len(solved["certified"]) else 0.0,
         "searched_dots": float(solved["searched_dots"].sum() / max(len(dots.camera), 1)),
         "noise_px": dict(zip(cameras.rig.ids, model["noise"], strict=True)),

@@ -28,7 +28,7 @@ fn take(cameras: usize, markers: usize, sigma_px: f64, hide: Hide) -> Take {
     let see = |frame| {
         let points = cloud(0, frame, markers, &BOX_M, &Vector3::zeros());
         let seen = observe(&rig, &points, &[], &what, 0, frame);
-        seen.into_iter().map(|d| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0 }).collect()
+        seen.into_iter().map(|d| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0, hardware: None }).collect()
     };
     let frames: Vec<Vec<Dot>> = (0..FRAMES).map(see).collect();
     let views: Vec<&[Dot]> = frames.iter().map(Vec::as_slice).collect();

@@ -86,7 +86,7 @@ fn seen(stage: &Stage, rig: &Rig) -> Vec<Vec<Dot>> {
             capsules.extend(pose.capsules);
         }
         let dots = observe(rig, &markers, &capsules, &what, 0, frame);
-        dots.into_iter().map(|d| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0 }).collect()
+        dots.into_iter().map(|d| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0, hardware: None }).collect()
     };
     (0..stage.frames).map(frame).collect()
 }

@@ -52,6 +52,17 @@ impl Sight {
         })
     }
 
+    /// The same ray with a noise so many times as large.
+    #[must_use]
+    pub fn with_noise(&self, factor: f64) -> Self {
+        Self {
+            rows: self.rows / factor,
+            sigma_px: self.sigma_px * factor,
+            angle_sigma: self.angle_sigma * factor,
+            ..self.clone()
+        }
+    }
+
     /// Depth along the optical axis (m).
     pub fn depth(&self, point: &Vector3<f64>) -> f64 {
         self.axis.dot(&(point - self.origin))

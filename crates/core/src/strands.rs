@@ -57,6 +57,52 @@ impl Strands {
         found
     }
 
+    /// Strands put together over gaps of up to `longest` frames: frame and dot (counted through all frames) of each link.
+    ///
+    /// A strand goes on in the one that begins where its motion leads, if each is clearly the other's nearest.
+    pub fn bridged(&self, longest: usize, largest: f64) -> Vec<Vec<(usize, usize)>> {
+        let all = self.all();
+        let mut follower: Vec<Option<usize>> = vec![None; all.len()];
+        let mut is_follower = vec![false; all.len()];
+        for gap in 1..=longest {
+            let mut begin: Vec<Vec<usize>> = vec![Vec::new(); self.frames()];
+            (0..all.len()).filter(|&s| !is_follower[s]).for_each(|s| begin[all[s].0].push(s));
+            let mut ends: Vec<Vec<usize>> = vec![Vec::new(); self.frames()];
+            for s in (0..all.len()).filter(|&s| follower[s].is_none()) {
+                let next = all[s].0 + all[s].1.len() + gap;
+                if next < self.frames() {
+                    ends[next].push(s);
+                }
+            }
+            for (ends, begin) in ends.iter().zip(&begin) {
+                let expected: Vec<Vector2<f64>> = ends.iter().map(|&s| self.beyond(&all[s].1, gap + 1)).collect();
+                let begun: Vec<Vector2<f64>> = begin.iter().map(|&s| self.places[all[s].1[0]]).collect();
+                for (k, place) in expected.iter().enumerate() {
+                    let Some(j) = clearly_nearest(place, &begun).filter(|&j| (begun[j] - place).norm() < largest)
+                    else {
+                        continue;
+                    };
+                    if clearly_nearest(&begun[j], &expected) == Some(k) {
+                        (follower[ends[k]], is_follower[begin[j]]) = (Some(begin[j]), true);
+                    }
+                }
+            }
+        }
+        let links = |s: usize| {
+            let (first, dots) = &all[s];
+            dots.iter().enumerate().map(|(k, d)| (first + k, *d)).collect::<Vec<_>>()
+        };
+        let first = (0..all.len()).filter(|&s| !is_follower[s]);
+        first.map(|s| std::iter::successors(Some(s), |&s| follower[s]).flat_map(links).collect()).collect()
+    }
+
+    /// Where a strand's motion leads some frames after its end.
+    fn beyond(&self, dots: &[usize], frames: usize) -> Vector2<f64> {
+        let [.., last] = dots else { return Vector2::zeros() };
+        let moved = self.previous[*last].map(|p| self.places[*last] - self.places[p]).unwrap_or_default();
+        self.places[*last] + frames as f64 * moved
+    }
+
     /// Number of frames.
     pub fn frames(&self) -> usize {
         self.starts.len() - 1
@@ -115,10 +161,15 @@ impl Strands {
 
     fn link(&mut self, frame: usize, largest: f64) {
         let (own, next) = (self.starts[frame]..self.starts[frame + 1], self.starts[frame + 1]..self.starts[frame + 2]);
-        let expected: Vec<Vector2<f64>> = own
-            .clone()
-            .map(|at| self.previous[at].map_or(self.places[at], |p| 2.0 * self.places[at] - self.places[p]))
-            .collect();
+        let moved = |at: usize| self.previous[at].map(|p| self.places[at] - self.places[p]);
+        // What has just appeared moves like what is next to it.
+        let beside = |at: usize| {
+            let distance = |other: &usize| (self.places[*other] - self.places[at]).norm_squared();
+            let nearest = own.clone().filter(|o| moved(*o).is_some()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            nearest.filter(|o| distance(o) < largest * largest).and_then(moved).unwrap_or_default()
+        };
+        let expected: Vec<Vector2<f64>> =
+            own.clone().map(|at| self.places[at] + moved(at).unwrap_or_else(|| beside(at))).collect();
         let later = &self.places[next.clone()];
         for (k, place) in expected.iter().enumerate() {
             let Some(j) = clearly_nearest(place, later).filter(|&j| (later[j] - place).norm() < largest) else {

@@ -26,7 +26,7 @@ struct Take {
 fn simulate(rig: Rig, markers: usize, frames: usize, what: &Imperfections) -> Take {
     let truth: Vec<_> = (0..frames).map(|f| cloud(11, f, markers, &BOX_M, &Vector3::zeros())).collect();
     let seen: Vec<_> = truth.iter().enumerate().map(|(f, m)| observe(&rig, m, &[], what, 11, f)).collect();
-    let dot = |d: &SeenDot| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0 };
+    let dot = |d: &SeenDot| Dot { camera: d.camera, pixel: d.pixel, sigma: 1.0, hardware: None };
     let dots = seen.iter().map(|f| f.iter().map(dot).collect()).collect();
     Take { rig, truth, seen, dots }
 }

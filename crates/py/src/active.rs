@@ -34,8 +34,8 @@ pub fn decode_leds<'py>(
         .map(|p| (p[0]..p[1]).map(|i| Vector2::new(pixel[(i, 0)], pixel[(i, 1)])).collect())
         .collect();
     let told = py.detach(|| {
-        let strands = Strands::new(&frames, LARGEST_STEP * width_px);
-        decode(&strands, &brightness, Blinking { frames_per_bit })
+        let largest = LARGEST_STEP * width_px;
+        decode(&Strands::new(&frames, largest), &brightness, largest, Blinking { frames_per_bit })
     });
     Ok(told.into_iter().map(|t| t.map_or(-1, |t| t as i64)).collect::<Vec<_>>().into_pyarray(py))
 }

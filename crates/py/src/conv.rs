@@ -62,23 +62,26 @@ pub struct DotArrays<'py> {
     pub camera: PyReadonlyArray1<'py, i64>,
     pub pixel: PyReadonlyArray2<'py, f64>,
     pub sigma: PyReadonlyArray1<'py, f64>,
+    /// Identities of active markers, or −1.
+    pub hardware: PyReadonlyArray1<'py, i64>,
 }
 
 impl DotArrays<'_> {
     /// All dots, and the range of each frame.
     pub fn frames(&self, cameras: usize) -> PyResult<(Vec<Dot>, Vec<std::ops::Range<usize>>)> {
-        let (camera, sigma) = (self.camera.as_array(), self.sigma.as_array());
+        let (camera, sigma, hardware) = (self.camera.as_array(), self.sigma.as_array(), self.hardware.as_array());
         let pixel = self.pixel.as_array();
         let starts = self.starts.as_array();
         let wrong = |what: &str| RigError::new_err(format!("dots: {what}"));
-        if pixel.nrows() != camera.len() || sigma.len() != camera.len() || pixel.ncols() != 2 {
-            return Err(wrong("camera, pixel and sigma differ in length"));
+        let same = [pixel.nrows(), sigma.len(), hardware.len()].iter().all(|n| *n == camera.len());
+        if !same || pixel.ncols() != 2 {
+            return Err(wrong("camera, pixel, sigma and identity differ in length"));
         }
         let mut dots = Vec::with_capacity(camera.len());
         for i in 0..camera.len() {
             let index =
                 usize::try_from(camera[i]).ok().filter(|c| *c < cameras).ok_or_else(|| wrong("no such camera"))?;
-            dots.push(Dot { camera: index, pixel: [pixel[(i, 0)], pixel[(i, 1)]], sigma: sigma[i] });
+            dots.push(Dot { camera: index, pixel: [pixel[(i, 0)], pixel[(i, 1)]], sigma: sigma[i], hardware: u32::try_from(hardware[i]).ok() });
         }
         let mut ranges = Vec::with_capacity(starts.len());
         for pair in starts.to_vec().windows(2) {

@@ -27,6 +27,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<rig::PyRig>()?;
     module.add_class::<reconstruct::PyModel>()?;
     module.add_class::<track::PyTracker>()?;
+    module.add_function(wrap_pyfunction!(track::dots_at_moments, module)?)?;
     module.add_function(wrap_pyfunction!(hidden::on_spheres, module)?)?;
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;

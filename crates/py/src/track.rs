@@ -11,7 +11,7 @@ use markerloom_core::correspond::frame::Dot;
 use markerloom_core::correspond::scene::Scene;
 use markerloom_core::track::paper::{PaperOptions, PaperTracker};
 use markerloom_core::track::repair::repair;
-use markerloom_core::track::{Kind, Moment, TrackError, TrackOptions, Tracked, Tracker};
+use markerloom_core::track::{Kind, Moment, Shot, TrackError, TrackOptions, Tracked, Tracker, at_moments};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -24,9 +24,10 @@ enum Engine {
 }
 
 impl Engine {
-    fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+    fn push(&mut self, shot: &Shot, moment: Moment) -> Result<Tracked, TrackError> {
+        let dots = &shot.dots;
         match self {
-            Self::Default(tracker) => tracker.push(dots, moment),
+            Self::Default(tracker) => tracker.push_from_clocks(dots, moment, &shot.lag_s),
             Self::Paper(tracker) => tracker.push(dots, moment),
         }
     }
@@ -64,7 +65,7 @@ pub struct PyTracker {
     recorded: Vec<Tracked>,
     starts: Vec<usize>,
     times_s: Vec<f64>,
-    dots: Vec<Vec<Dot>>,
+    shots: Vec<Shot>,
     frame_ms: Vec<f64>,
 }
 
@@ -104,45 +105,51 @@ impl PyTracker {
             recorded: Vec::new(),
             starts: vec![0],
             times_s: Vec::new(),
-            dots: Vec::new(),
+            shots: Vec::new(),
             frame_ms: Vec::new(),
         })
     }
 
-    /// Follows the markers through one frame (`dots` holds just that one); its samples as arrays.
+    /// Follows the markers through one frame (`dots` holds just that one); its samples as arrays. `lag_s`: by camera, how
+    /// much later than the frame's time its image was taken; empty if all saw one moment.
     fn push<'py>(
         &mut self,
         py: Python<'py>,
         dots: DotArrays<'py>,
         frame: Option<i64>,
         time_s: Option<f64>,
+        lag_s: Vec<f64>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let (all, _) = dots.frames(self.cameras)?;
+        let (dots, _) = dots.frames(self.cameras)?;
+        let shot = Shot { dots, lag_s: self.checked(lag_s)? };
         let found = py
-            .detach(|| self.follow(&all, Moment { frame, time_s }))
+            .detach(|| self.follow(&shot, Moment { frame, time_s }))
             .map_err(|e| InputError::new_err(e.to_string()))?;
         arrays(py, &[found], &[0], true)
     }
 
-    /// Follows and records several frames with the given numbers and times (NaN: by number and rate).
+    /// Follows and records several frames with the given numbers and times (`None`: by number and rate), and lags as in
+    /// `push`.
     fn record(
         &mut self,
         py: Python<'_>,
         dots: DotArrays<'_>,
         frames: Vec<i64>,
         times_s: Vec<Option<f64>>,
+        lags_s: Vec<Vec<f64>>,
     ) -> PyResult<()> {
         let (all, ranges) = dots.frames(self.cameras)?;
+        let lags_s = lags_s.into_iter().map(|l| self.checked(l)).collect::<PyResult<Vec<_>>>()?;
         py.detach(|| {
-            for ((range, frame), time_s) in ranges.into_iter().zip(frames).zip(times_s) {
-                let own: &[Dot] = &all[range];
+            for (((range, frame), time_s), lag_s) in ranges.into_iter().zip(frames).zip(times_s).zip(lags_s) {
+                let shot = Shot { dots: all[range].to_vec(), lag_s };
                 let clock = std::time::Instant::now();
-                let tracked = self.follow(own, Moment { frame: Some(frame), time_s })?;
+                let tracked = self.follow(&shot, Moment { frame: Some(frame), time_s })?;
                 self.recorded.push(tracked);
                 self.frame_ms.push(1000.0 * clock.elapsed().as_secs_f64());
                 self.times_s.push(self.tracker.moment().1);
-                self.dots.push(own.to_vec());
-                self.starts.push(self.starts[self.starts.len() - 1] + own.len());
+                self.starts.push(self.starts[self.starts.len() - 1] + shot.dots.len());
+                self.shots.push(shot);
             }
             Ok(())
         })
@@ -166,7 +173,7 @@ impl PyTracker {
         }
         let mut scenes: Vec<(usize, &Scene)> = self.past.iter().map(|(from, scene)| (*from, scene)).collect();
         scenes.push((self.scene_from, self.tracker.scene()));
-        let kept = py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.dots, &self.times_s));
+        let kept = py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.shots, &self.times_s));
         arrays(py, &kept, &self.starts, false)
     }
 
@@ -188,8 +195,16 @@ impl PyTracker {
 }
 
 impl PyTracker {
+    /// Lags of one frame: none, or one for each camera.
+    fn checked(&self, lag_s: Vec<f64>) -> PyResult<Vec<f64>> {
+        if lag_s.is_empty() || (lag_s.len() == self.cameras && lag_s.iter().all(|l| l.is_finite())) {
+            return Ok(lag_s);
+        }
+        Err(InputError::new_err(format!("{} lags for {} cameras", lag_s.len(), self.cameras)))
+    }
+
     /// Follows the markers through a frame, and watches the cameras.
-    fn follow(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+    fn follow(&mut self, shot: &Shot, moment: Moment) -> Result<Tracked, TrackError> {
         let coming = moment.frame.unwrap_or(self.tracker.moment().0 + 1);
         while self.planned.front().is_some_and(|p| p.0 <= coming)
             && let Some((_, camera, now)) = self.planned.pop_front()
@@ -197,15 +212,16 @@ impl PyTracker {
             self.watch.replace(camera, now.clone());
             self.replace(camera, now, self.recorded.len());
         }
-        let tracked = self.tracker.push(dots, moment)?;
+        let tracked = self.tracker.push(shot, moment)?;
         if matches!(self.tracker, Engine::Default(_)) {
             let placed: Vec<Placed> = tracked
                 .samples
                 .iter()
                 .filter(|s| s.confirmed)
-                .map(|s| Placed { track: s.track, place: s.point, dots: &s.dots })
+                .map(|s| Placed { track: s.track, place: s.point, velocity: s.velocity, dots: &s.dots })
                 .collect();
-            let found = self.watch.push(self.tracker.moment().0, &placed, dots, &self.tracker.scene().model.noise);
+            let noise = &self.tracker.scene().model.noise;
+            let found = self.watch.push(self.tracker.moment().0, &placed, (&shot.dots, &shot.lag_s), noise);
             if self.heal {
                 for moved in &found {
                     self.replace(moved.camera, moved.now.clone(), self.recorded.len() + 1);
@@ -227,6 +243,39 @@ impl PyTracker {
     }
 }
 
+/// Dots as of their frames' moments, where cameras saw them at others: frame starts, camera, pixel, sigma. Dots whose
+/// motion is not known are left out.
+#[pyfunction]
+pub fn dots_at_moments<'py>(
+    py: Python<'py>,
+    rig: &PyRig,
+    dots: DotArrays<'py>,
+    times_s: Vec<f64>,
+    lags_s: Vec<Vec<f64>>,
+    rate_hz: f64,
+) -> PyResult<Bound<'py, PyDict>> {
+    let cameras = rig.inner.cameras.len();
+    let (all, ranges) = dots.frames(cameras)?;
+    if times_s.len() != ranges.len() || lags_s.len() != ranges.len() || lags_s.iter().any(|l| l.len() != cameras) {
+        return Err(InputError::new_err("times and lags do not fit the frames and cameras"));
+    }
+    let shots: Vec<Shot> =
+        ranges.into_iter().zip(lags_s).map(|(r, lag_s)| Shot { dots: all[r].to_vec(), lag_s }).collect();
+    let moved = py.detach(|| at_moments(&rig.inner, &shots, &times_s, 1.0 / rate_hz));
+    let mut starts = vec![0i64];
+    moved.iter().for_each(|own| starts.push(starts[starts.len() - 1] + own.len() as i64));
+    let flat = || moved.iter().flatten();
+    let n = flat().count();
+    let out = PyDict::new(py);
+    out.set_item("starts", starts.into_pyarray(py))?;
+    out.set_item("camera", flat().map(|d| d.camera as i64).collect::<Vec<_>>().into_pyarray(py))?;
+    out.set_item("pixel", flat().flat_map(|d| d.pixel).collect::<Vec<_>>().into_pyarray(py).reshape([n, 2])?)?;
+    let told = |d: &Dot| d.hardware.map_or(-1, i64::from);
+    out.set_item("hardware", flat().map(told).collect::<Vec<_>>().into_pyarray(py))?;
+    out.set_item("sigma", flat().map(|d| d.sigma).collect::<Vec<_>>().into_pyarray(py))?;
+    Ok(out)
+}
+
 pub fn arrays<'py>(
     py: Python<'py>,
     frames: &[Tracked],
@@ -234,6 +283,7 @@ pub fn arrays<'py>(
     confirmed_only: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (mut frame, mut track, mut point, mut covariance) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut velocity, mut hardware) = (Vec::new(), Vec::new());
     let (mut kind, mut confidence, mut residual, mut distance) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut dot_starts, mut dots) = (vec![0i64], Vec::new());
     for (i, one) in frames.iter().enumerate() {
@@ -242,6 +292,8 @@ pub fn arrays<'py>(
             track.push(i64::from(sample.track));
             point.extend(sample.point.iter().copied());
             covariance.extend(sample.covariance.iter().copied());
+            hardware.push(sample.hardware.map_or(-1, i64::from));
+            velocity.extend(sample.velocity.iter().copied());
             kind.push(i64::from(sample.kind == Kind::Predicted));
             confidence.push(sample.confidence);
             residual.push(sample.residual_px);
@@ -256,6 +308,8 @@ pub fn arrays<'py>(
     out.set_item("track", track.into_pyarray(py))?;
     out.set_item("point_m", point.into_pyarray(py).reshape([n, 3])?)?;
     out.set_item("covariance_m2", covariance.into_pyarray(py).reshape([n, 3, 3])?)?;
+    out.set_item("hardware", hardware.into_pyarray(py))?;
+    out.set_item("velocity_mps", velocity.into_pyarray(py).reshape([n, 3])?)?;
     out.set_item("kind", kind.into_pyarray(py))?;
     out.set_item("confidence", confidence.into_pyarray(py))?;
     out.set_item("residual_px", residual.into_pyarray(py))?;

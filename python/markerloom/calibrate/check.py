@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from markerloom.errors import InputError, MarkerloomError
+from markerloom.moments import refuse_several_clocks
 from markerloom.observations import Observations, match
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Rig
@@ -50,6 +51,7 @@ def check_rig(rig: Rig, observations: Observations) -> dict[str, Any]:
 
     Raises ``InputError`` where the take shows too few markers in three cameras or more.
     """
+    refuse_several_clocks(observations)
     frames = observations.frames
     step = max(2, len(frames) // LOOKED_AT)
     first = frames[:-1:step]

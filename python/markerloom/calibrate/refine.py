@@ -10,6 +10,7 @@ import numpy as np
 from markerloom import _core
 from markerloom.bumped import between
 from markerloom.errors import InputError
+from markerloom.moments import refuse_several_clocks
 from markerloom.observations import Observations
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Rig
@@ -32,7 +33,8 @@ def refine_rig(rig: Rig, observations: Observations) -> tuple[Rig, dict[str, Any
     did not see), by camera as well, ``moved_mm`` and ``turned_deg`` by camera, ``verdict`` (``ok``, or ``refused`` with
     ``reasons`` where the refined rig explains those frames no better).
 
-    Raises ``InputError`` for fewer than three cameras, and for a take that shows too few points.
+    Raises ``InputError`` for fewer than three cameras, for a take that shows too few points, and for one whose cameras
+    saw the frames at different moments.
     """
     seeing = {observations.camera_ids[i] for i in np.unique(observations.camera)}
     given, rig = rig, Rig(tuple(c for c in rig.cameras if c.id in seeing), rig.source)
@@ -41,6 +43,7 @@ def refine_rig(rig: Rig, observations: Observations) -> tuple[Rig, dict[str, Any
             f"{len(rig)} cameras of the calibration saw anything: refining without a wand needs three or more "
             f"({observations.source})"
         )
+    refuse_several_clocks(observations)
     chosen, judging = _split(observations)
     refined, points = rig, 0
     for _ in range(ROUNDS):

@@ -10,6 +10,7 @@ import typer
 
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.active import decode_leds
 from markerloom.detect.images import grey_images, write_png
 from markerloom.detect.takes import detect as run_detect
 from markerloom.detect.takes import learn_mask as run_learn_mask
@@ -37,6 +38,8 @@ def detect(
     background: Annotated[
         Path | None, typer.Option(help="An image to subtract, or a folder with one for each camera.")
     ] = None,
+    leds: Annotated[bool, typer.Option("--leds", help="Markers are LEDs: decode who they are (column id).")] = False,
+    frames_per_bit: Annotated[int, typer.Option(help="Frames that a bit of an LED's code lasts.", min=1)] = 1,
     threads: Annotated[int, typer.Option(help="0 = all cores; the result is the same.", min=0)] = 0,
     report: Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
@@ -69,6 +72,9 @@ def detect(
         backgrounds=backgrounds,
         threads=threads,
     )
+    if leds:
+        found, result["leds"] = decode_leds(found, frames_per_bit=frames_per_bit)
+        result["warnings"] += result["leds"].pop("warnings")
     formats.write_observations(found, output)
     if report is not None:
         reports.save(reports.of_run([p for p in sources if p.is_file()], options, result), report)

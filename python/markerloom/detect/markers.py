@@ -51,6 +51,11 @@ class Blobs:
         return len(self.pixel)
 
     @property
+    def brightness(self) -> Array:
+        """All the light of each marker's image, in grey values times pixels: what an LED's blinking changes."""
+        return self.peak * np.pi * np.square(self.radius_px)
+
+    @property
     def quality(self) -> Array:
         """1 for a whole marker, 0.5 for a half hidden or merged one, 0.25 for a clipped or saturated one."""
         quality = np.where(self.hidden | self.merged, 0.5, 1.0)

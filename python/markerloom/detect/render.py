@@ -24,8 +24,8 @@ def rendered(take: SimulatedTake, camera: str, *, marker_mm: float = 14.0, brigh
     """The images of one camera, frame by frame, 8 bits.
 
     Every marker that the take says this camera sees is a disk at its true place, as large as a ball of ``marker_mm``;
-    disks that overlap become one. ``bright``: grey values above the background; beyond 239 it saturates. The noise
-    comes from the take's seed.
+    disks that overlap become one. ``bright``: grey values above the background; beyond 239 it saturates. LEDs are as
+    bright as the take says. The noise comes from the take's seed.
     """
     if camera not in take.rig.ids:
         raise InputError(f"the take has no camera {camera}; it has {', '.join(take.rig.ids)}")
@@ -33,17 +33,19 @@ def rendered(take: SimulatedTake, camera: str, *, marker_mm: float = 14.0, brigh
     one = take.rig.cameras[index]
     width, height = (int(side) for side in one.size_px)
     place = {(f, m): p for f, m, p in zip(take.truth.frame, take.truth.label, take.truth.xyz_mm / 1000.0, strict=True)}
-    seen: dict[int, list[np.ndarray]] = defaultdict(list)
+    seen: dict[int, list[tuple[np.ndarray, float]]] = defaultdict(list)
     table = take.truth_assignments.to_pydict()
-    for frame, name, label in zip(table["frame"], table["camera"], table["label"], strict=True):
+    level = _levels(take, index)
+    columns = (table[name] for name in ("frame", "camera", "observation", "label"))
+    for frame, name, observation, label in zip(*columns, strict=True):
         if name == camera:
-            seen[frame].append(place[frame, label])
+            seen[frame].append((place[frame, label], level.get((frame, observation), bright) / bright))
     for frame in range(take.scene.frames):
         share = np.zeros((height, width))
-        for at in seen[frame]:
+        for at, level in seen[frame]:
             pixel = take.rig.project(index, at[None])[0]
             depth = float((at - one.position_m) @ one.rotation[2])
-            _draw(share, pixel, 0.5 * marker_mm / 1000.0 * one.focal_px[0] / depth)
+            _draw(share, pixel, 0.5 * marker_mm / 1000.0 * one.focal_px[0] / depth, level)
         noise = np.random.default_rng([take.scene.seed, index, frame]).normal(0.0, NOISE, share.shape)
         yield np.clip(np.round(DARK + bright * share + noise), 0, 255).astype(np.uint8)
 
@@ -58,7 +60,20 @@ def save_videos(take: SimulatedTake, folder: str | Path, *, marker_mm: float = 1
     return files
 
 
-def _draw(share: np.ndarray, pixel: np.ndarray, radius: float) -> None:
+def _levels(take: SimulatedTake, camera: int) -> dict[tuple[int, int], float]:
+    """Grey value of each of a camera's observations (frame, index in it), where they have one: LEDs."""
+    observations = take.observations
+    brightness = observations.optional.get("brightness")
+    if brightness is None:
+        return {}
+    own = np.flatnonzero(observations.camera == camera)
+    frame = observations.frame[own]
+    first = np.searchsorted(frame, frame)
+    within = np.arange(len(own)) - first
+    return {(int(f), int(i)): float(b) for f, i, b in zip(frame, within, brightness[own], strict=True)}
+
+
+def _draw(share: np.ndarray, pixel: np.ndarray, radius: float, level: float) -> None:
     """A blurred disk, averaged over each pixel; where another one is brighter, that one stays."""
     height, width = share.shape
     reach = radius + 4.0 * BLUR_PX + 1.0
@@ -70,5 +85,5 @@ def _draw(share: np.ndarray, pixel: np.ndarray, radius: float) -> None:
     x = (np.arange(left, right)[:, None] + fine).ravel() - pixel[0]
     y = (np.arange(top, bottom)[:, None] + fine).ravel() - pixel[1]
     disk = ndtr((radius - np.hypot(x[None, :], y[:, None])) / BLUR_PX)
-    disk = disk.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3))
+    disk = level * disk.reshape(bottom - top, FINE, right - left, FINE).mean(axis=(1, 3))
     share[top:bottom, left:right] = np.maximum(share[top:bottom, left:right], disk)

@@ -44,7 +44,7 @@ def detect(
     """Find the markers in recordings: for each camera id a video, an image, or a folder of images (frame by frame).
 
     Options as in ``detect_markers``; ``masks`` and ``backgrounds`` by camera. ``threads``: 0 = all cores; the result is
-    the same for any number. The observations have ``radius``, ``sigma`` (px), ``quality`` (see ``Blobs``). The report
+    the same for any number. The observations have ``radius``, ``sigma`` (px), ``brightness``, ``quality`` (see ``Blobs``). The report
     has, by camera, ``frames``, ``dots``, ``dots_per_frame``, and counts of what was hidden, merged, clipped, saturated;
     ``warnings`` name images without markers, of another size, or that cannot be read: what came before them is kept.
     """
@@ -70,7 +70,7 @@ def detect(
             for frame, blobs in enumerate(_in_order(pool, workers, one, images)):
                 counts.add(blobs)
                 n = len(blobs)
-                columns = (blobs.pixel, blobs.radius_px, blobs.sigma_px, blobs.quality)
+                columns = (blobs.pixel, blobs.radius_px, blobs.brightness, blobs.sigma_px, blobs.quality)
                 rows.append((np.full(n, frame), np.full(n, index), *columns))
             report[camera] = counts.report()
             warnings += counts.warnings(camera)
@@ -81,14 +81,16 @@ def detect(
     if len({own["frames"] for own in report.values()}) > 1:
         lengths = ", ".join(f"{c} {own['frames']}" for c, own in report.items())
         warnings.append(f"the cameras have different numbers of images: {lengths}")
-    frame, camera, pixel, radius, sigma, quality = (np.concatenate(column) for column in zip(*rows, strict=True))
+    frame, camera, pixel, radius, brightness, sigma, quality = (
+        np.concatenate(column) for column in zip(*rows, strict=True)
+    )
     known = {r for r in rates if r is not None}
     found = Observations(
         frame.astype(np.int64),
         camera.astype(np.int64),
         tuple(sources),
         pixel,
-        optional={"radius": radius, "sigma": sigma, "quality": quality},
+        optional={"radius": radius, "brightness": brightness, "sigma": sigma, "quality": quality},
         rate_hz=known.pop() if len(known) == 1 else None,
         frames=np.arange(frames),
         source=", ".join(str(s) for s in sources.values()),

@@ -1,4 +1,4 @@
-"""SMPTE time codes (ST 12-1): HH:MM:SS:FF, with ; or . before the frames where numbers are dropped (29.97, 59.94 Hz)."""
+"""SMPTE time codes (ST 12-1): HH:MM:SS:FF, with ; or . before the frames where numbers are dropped (29.97 Hz)."""
 
 from __future__ import annotations
 

@@ -92,7 +92,10 @@ def sync(
         raise InputError(f"there is one clock only ({parts[0].name}): nothing is to be put on another")
     reference = max(range(len(parts)), key=lambda i: (parts[i].take.rate_hz or 0.0, -i))
     clocks = _clocks(parts, reference, rig, by, offsets or {})
-    timed = [_timed(r, [(c, p) for c, p in zip(clocks, parts, strict=True) if p.recording == i]) for i, r in enumerate(recordings)]
+    timed = [
+        _timed(r, [(c, p) for c, p in zip(clocks, parts, strict=True) if p.recording == i])
+        for i, r in enumerate(recordings)
+    ]
     merged = framed_by_time(_joined(timed, float(parts[reference].take.rate_hz or 0.0)))
     warnings = [*merged.warnings, *(w for c in clocks for w in c.details.get("warnings", ()))]
     report = {
@@ -137,9 +140,7 @@ def _name(recording: Observations, index: int) -> str:
     return name or f"recording {index + 1}"
 
 
-def _clocks(
-    parts: list[_Part], reference: int, rig: Rig | None, by: str, offsets: Mapping[str, float]
-) -> list[Clock]:
+def _clocks(parts: list[_Part], reference: int, rig: Rig | None, by: str, offsets: Mapping[str, float]) -> list[Clock]:
     """The clock of each part; those that share no view with the reference are put on it by way of others."""
     found: dict[int, Clock] = {reference: _clock(parts[reference])}
     reference_hz = found[reference].rate_hz
@@ -161,7 +162,9 @@ def _clocks(
                 found[index] = _chained(_clock(part := parts[index]), found[known], against, by, part)
                 break
         if len(found) == before:
-            raise InputError(f"{parts[missing[0]].name} cannot be put on the clock of {parts[reference].name}: {failed[missing[0]]}")
+            raise InputError(
+                f"{parts[missing[0]].name} cannot be put on the clock of {parts[reference].name}: {failed[missing[0]]}"
+            )
     return [found[i] for i in range(len(parts))]
 
 
@@ -174,7 +177,9 @@ def _against(first: Observations, second: Observations, rig: Rig | None, by: str
     """Offset (s), drift (ppm) and their standard deviations of the second recording's clock against the first's."""
     if by == "motion":
         if rig is None:
-            raise InputError("the motion tells the offset with calibrated cameras: state --calibration, or another way (--by)")
+            raise InputError(
+                "the motion tells the offset with calibrated cameras: state --calibration, or another way (--by)"
+            )
         return clock_from_motion(first, second, rig)
     return clock_from_events(first, second, by)
 

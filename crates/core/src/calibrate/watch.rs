@@ -19,6 +19,8 @@ pub struct Placed<'a> {
     pub track: u32,
     /// Place (m, world).
     pub place: Vector3<f64>,
+    /// Velocity (m/s), for cameras that saw it at another moment.
+    pub velocity: Vector3<f64>,
     /// Indices of its dots in the frame.
     pub dots: &'a [u32],
 }
@@ -120,9 +122,10 @@ impl Watch {
 
     /// Takes in a frame; the cameras that are known to stand elsewhere since, or whose new pose is known better now.
     ///
+    /// `shot`: the frame's dots, and by camera how much later than the frame's moment they were seen (s; empty if not).
     /// `noise_px`: standard deviation of a dot of sigma 1, by camera.
-    pub fn push(&mut self, frame: i64, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Moved> {
-        let expected = self.expected(placed, dots, noise_px);
+    pub fn push(&mut self, frame: i64, placed: &[Placed], shot: (&[Dot], &[f64]), noise_px: &[f64]) -> Vec<Moved> {
+        let (dots, expected) = (shot.0, self.expected(placed, shot, noise_px));
         for (camera, expected) in expected.into_iter().enumerate() {
             let mut pixels: Vec<Vector2<f64>> =
                 dots.iter().filter(|d| d.camera == camera).map(|d| Vector2::from(d.pixel)).collect();
@@ -147,21 +150,25 @@ impl Watch {
     }
 
     /// For each camera, the places that the others give, and where it should see them.
-    fn expected(&self, placed: &[Placed], dots: &[Dot], noise_px: &[f64]) -> Vec<Vec<Expected>> {
+    fn expected(&self, placed: &[Placed], (dots, lag_s): (&[Dot], &[f64]), noise_px: &[f64]) -> Vec<Vec<Expected>> {
+        let lag_s = |camera: usize| lag_s.get(camera).copied().unwrap_or(0.0);
         let mut expected: Vec<Vec<Expected>> = self.cameras.iter().map(|_| Vec::new()).collect();
         let one_in = placed.len().div_ceil(MOST_MARKERS).max(1) as u32;
         for marker in placed.iter().filter(|p| p.dots.len() >= 2 && p.track % one_in == 0) {
             let rays: Vec<Ray> = marker
                 .dots
                 .iter()
-                .filter_map(|&d| Ray::new(&self.cameras, &dots[d as usize], marker, noise_px))
+                .filter_map(|&d| {
+                    let dot = &dots[d as usize];
+                    Ray::new(&self.cameras, dot, &(marker.place + marker.velocity * lag_s(dot.camera)), noise_px)
+                })
                 .collect();
             let all = rays.iter().fold(Ray::none(), |sum, ray| sum.plus(ray, 1.0));
             for (camera, one) in self.cameras.iter().enumerate() {
                 let own = rays.iter().filter(|r| r.camera == camera);
                 let others = own.clone().fold(all, |sum, ray| sum.plus(ray, -1.0));
                 if rays.len() >= 2 + own.count()
-                    && let Some((place, covariance)) = others.meet(&marker.place)
+                    && let Some((place, covariance)) = others.meet(&(marker.place + marker.velocity * lag_s(camera)))
                     && let Some((pixel, by_place)) = one.project_linear(&place)
                     && (by_place * covariance * by_place.transpose()).trace()
                         < 2.0 * (UNSURE * noise_px[camera]).powi(2)
@@ -296,8 +303,8 @@ struct Ray {
 }
 
 impl Ray {
-    fn new(cameras: &[Camera], dot: &Dot, marker: &Placed, noise_px: &[f64]) -> Option<Self> {
-        let (pixel, by_place) = cameras[dot.camera].project_linear(&marker.place)?;
+    fn new(cameras: &[Camera], dot: &Dot, place: &Vector3<f64>, noise_px: &[f64]) -> Option<Self> {
+        let (pixel, by_place) = cameras[dot.camera].project_linear(place)?;
         let weight = (dot.sigma * noise_px[dot.camera]).powi(-2);
         let off = Vector2::from(dot.pixel) - pixel;
         Some(Self {

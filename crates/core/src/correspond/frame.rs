@@ -13,6 +13,15 @@ pub struct Dot {
     pub pixel: [f64; 2],
     /// The dot's own standard deviation (px), or 1 where it is not known.
     pub sigma: f64,
+    /// Identity that an active marker told.
+    pub hardware: Option<u32>,
+}
+
+impl Dot {
+    /// Whether two dots may be one marker's, by what they told of themselves.
+    pub fn may_be(&self, other: &Self) -> bool {
+        self.hardware.is_none() || other.hardware.is_none() || self.hardware == other.hardware
+    }
 }
 
 /// A frame's dots as sights, ordered by camera.
@@ -28,6 +37,8 @@ pub struct PreparedFrame {
     pub chords: Vec<[f64; 2]>,
     /// What a dot adds to the log-likelihood ratio of a group, before its residual (nats).
     pub gains: Vec<f64>,
+    /// The dots as they came.
+    pub dots: Vec<Dot>,
 }
 
 impl PreparedFrame {
@@ -42,6 +53,7 @@ impl PreparedFrame {
             camera_start: vec![0; scene.rig.cameras.len() + 1],
             chords: Vec::with_capacity(dots.len()),
             gains: Vec::with_capacity(dots.len()),
+            dots: Vec::with_capacity(dots.len()),
         };
         for i in order {
             frame.push(scene, &dots[i], i);
@@ -68,6 +80,7 @@ impl PreparedFrame {
         let alone = scene.ln_alone(&sight, pixel, Some(chord));
         self.gains.push(-(std::f64::consts::TAU * sigma_px * sigma_px).ln() - alone);
         self.sights.push(sight);
+        self.dots.push(*dot);
         self.chords.push(chord);
         self.input_index.push(index);
         Some(())

@@ -52,7 +52,8 @@ impl PairGraph {
                 let origins = [first, second].map(|c| scene.rig.cameras[c].position_m);
                 index.fill(frame, origins, &ranges);
                 index.matches(reach, |a, b| {
-                    if let Some((rss, point)) = meet(frame, a, b, scene.model.region.diagonal())
+                    if frame.dots[a].may_be(&frame.dots[b])
+                        && let Some((rss, point)) = meet(frame, a, b, scene.model.region.diagonal())
                         && rss <= gate
                     {
                         graph.later[a].push(Edge { to: b as u32, rss, point });

@@ -54,6 +54,11 @@ impl Clock {
         }
     }
 
+    /// Time between frames (s).
+    pub fn interval_s(&self) -> f64 {
+        1.0 / self.rate_hz
+    }
+
     /// Moves to the next frame.
     pub fn advance(&mut self, moment: Moment) -> Result<Step, TimeError> {
         let frame = moment.frame.unwrap_or(self.frame + 1);

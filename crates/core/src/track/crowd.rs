@@ -2,7 +2,9 @@
 //! measured: by dots (`mod.rs`) or by points of another system (`points.rs`).
 
 use super::body::{Body, Seen};
+use super::frame::Frame;
 use super::clock::{Clock, Moment, TimeError};
+use super::flow::Motion;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::rematch;
@@ -50,7 +52,7 @@ impl Crowd {
     pub fn advance(&mut self, moment: Moment) -> Result<(), TimeError> {
         let step = self.clock.advance(moment)?;
         for marker in &mut self.markers {
-            marker.predict(&step);
+            marker.predict(&step, self.clock.time_s);
         }
         let now = self.places(|m| m.is_live().then_some(m.filter.position));
         self.carry(&now);
@@ -89,12 +91,42 @@ impl Crowd {
     }
 
     /// For each new point, the index of the lost marker that it is, if that costs less than `worst` (nats).
-    pub fn owners(&self, groups: &[Group], worst: f64) -> Vec<Option<usize>> {
+    /// `told`: identities that the points told.
+    pub fn owners(&self, groups: &[Group], told: &[Option<u32>], worst: f64) -> Vec<Option<usize>> {
         let now = self.places(Marker::found_at);
         let lost: Vec<usize> =
             (0..self.markers.len()).filter(|&i| self.markers[i].confirmed && !self.markers[i].is_found()).collect();
-        let given = rematch(&self.markers, &lost, groups, &self.body.links, &now, worst);
+        let given = rematch(&self.markers, &lost, (groups, told), &self.body.links, &now, worst);
         given.into_iter().map(|owner| owner.map(|l| lost[l])).collect()
+    }
+
+    /// Active markers learn who they are. One that tells the identity of a lost one is that one.
+    pub fn hear(&mut self, frame: &Frame) {
+        let is_heir: Vec<bool> = self
+            .markers
+            .iter_mut()
+            .map(|m| {
+                let before = m.hardware;
+                m.hear(frame);
+                m.hardware.is_some() && m.hardware != before
+            })
+            .collect();
+        for heir in (0..self.markers.len()).filter(|&i| is_heir[i]) {
+            let told = self.markers[heir].hardware;
+            let same = |(i, m): (usize, &Marker)| i != heir && m.hardware == told;
+            let Some(other) = self.markers.iter().enumerate().position(same) else { continue };
+            if self.markers[other].is_found() {
+                self.markers[heir].hardware = None;
+                continue;
+            }
+            let lost = self.markers[other].clone();
+            let slot = self.markers[heir].slot;
+            self.markers[heir].inherit(&lost);
+            // The lost one is forgotten in the place where the heir was.
+            self.markers[other].slot = slot;
+            (self.markers[other].hardware, self.markers[other].confirmed) = (None, false);
+            self.markers[other].give_up();
+        }
     }
 
     /// Filters take in the measurements; markers count their hits and misses.
@@ -108,14 +140,14 @@ impl Crowd {
     }
 
     /// A new marker.
-    pub fn give_birth(&mut self, found: Located, confidence: f64, confirmed: bool) {
+    pub fn give_birth(&mut self, found: (Located, Motion), confidence: f64, confirmed: bool) {
         let slot = self.slots.iter().position(|used| !used).unwrap_or(self.slots.len());
         if slot == self.slots.len() {
             self.slots.push(true);
         }
         self.slots[slot] = true;
         self.body.clear(slot);
-        self.markers.push(Marker::born(self.next_track, slot, found, confidence, self.clock.time_s, confirmed));
+        self.markers.push(Marker::born((self.next_track, slot), found, confidence, self.clock.time_s, confirmed));
         self.next_track += 1;
     }
 
@@ -127,7 +159,9 @@ impl Crowd {
             let known = sample.covariance.trace().sqrt() <= self.options.largest_sigma_m;
             (sample.kind == Kind::Measured || (m.confirmed && known && visible(&sample.point))).then_some(sample)
         };
-        self.markers.iter().filter_map(given).collect()
+        let mut samples: Vec<Sample> = self.markers.iter().filter_map(given).collect();
+        samples.sort_by_key(|s| s.track);
+        samples
     }
 
     /// The dynamic model learns; tentative markers that are not seen again go soon, others after a while.
@@ -137,7 +171,9 @@ impl Crowd {
             self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
         self.body.learn(&seen, time_s);
         let memory_s = self.options.memory_s;
-        self.forget(|m| m.is_gone(time_s, memory_s));
+        let told = self.markers.iter().filter(|m| m.hardware.is_some()).count();
+        let among_active = 2 * told > self.markers.len();
+        self.forget(|m| m.is_gone(time_s, memory_s, among_active));
     }
 
     /// Forgets some of the markers; their slots are free for others.

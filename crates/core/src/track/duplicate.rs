@@ -32,7 +32,8 @@ impl Crowd {
         for (k, &a) in order.iter().enumerate() {
             for &b in order[k + 1..].iter().take_while(|&&b| x(b) - x(a) < NEAR) {
                 let pair = [a.min(b), a.max(b)].map(|i| &self.markers[i]);
-                if !in_one_place(pair) {
+                let tell_apart = matches!(pair.map(|m| m.hardware), [Some(a), Some(b)] if a != b);
+                if tell_apart || !in_one_place(pair) {
                     continue;
                 }
                 let tracks = (pair[0].track, pair[1].track);

@@ -32,11 +32,13 @@ impl Crowd {
         let at = self.by_slot();
         for one in 0..self.markers.len() {
             let slot = self.markers[one].slot;
-            if !self.markers[one].confirmed || now[slot].is_none() {
+            // Who told its identity is not taken for another.
+            let is_told = |index: usize| self.markers[index].hardware.is_some();
+            if !self.markers[one].confirmed || now[slot].is_none() || is_told(one) {
                 continue;
             }
             let near = |l: &&Link| l.other > slot && l.mean_m < NEAR && now[l.other].is_some();
-            let other = self.body.links.of(slot).iter().filter(near).filter_map(|l| at[l.other]);
+            let other = self.body.links.of(slot).iter().filter(near).filter_map(|l| at[l.other]).filter(|&o| !is_told(o));
             let worth = |&o: &usize| self.gain_of_exchange(&self.markers[one], &self.markers[o], &now, &last) > ENOUGH;
             if let Some(other) = other.into_iter().find(worth) {
                 let located = self.markers[one].located.take();

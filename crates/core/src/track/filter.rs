@@ -6,12 +6,11 @@
 //! only adds them up. Measurements enter as an improved position with its covariance (equations 14–16 in information
 //! form): so rays, triangulated points and points of other systems are all the same to the filter.
 
+use super::flow::Motion;
 use nalgebra::{Matrix3, Vector3};
 
 /// Time constant of a limb's acceleration (s): how long a push lasts.
 pub const ACCELERATION_TIME_S: f64 = 0.15;
-/// Spread of the speed of a marker that has just appeared (m/s).
-const FIRST_SPEED: f64 = 1.5;
 /// Spread of the speed of a marker that was pushed (m/s), at least.
 const PUSHED_SPEED: f64 = 3.0;
 
@@ -89,7 +88,8 @@ const AA: usize = 5;
 impl Filter {
     /// A marker seen for the first time, nothing known of its motion.
     pub fn new(position: Vector3<f64>, covariance: &Matrix3<f64>, acceleration_std: f64) -> Self {
-        Self::moving(position, covariance, Vector3::zeros(), FIRST_SPEED, acceleration_std)
+        let any = Motion::unknown();
+        Self::moving(position, covariance, any.velocity, any.variance.sqrt(), acceleration_std)
     }
 
     /// A marker with a velocity known to some spread.
@@ -105,6 +105,11 @@ impl Filter {
         blocks[VV] = Matrix3::identity() * speed_std.powi(2);
         blocks[AA] = Matrix3::identity() * acceleration_std.powi(2);
         Self { position, velocity, acceleration: Vector3::zeros(), blocks }
+    }
+
+    /// Velocity with its variance.
+    pub fn motion(&self) -> Motion {
+        Motion { velocity: self.velocity, variance: self.blocks[VV].trace() / 3.0 }
     }
 
     /// Covariance of the position (m²).

@@ -1,9 +1,11 @@
 //! One frame's dots as the tracker uses them: rays, sorted by place within each camera, free until somebody owns them.
 
+use super::flow::Motion;
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
 use crate::sight::Sight;
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
+use std::borrow::Cow;
 
 /// New or unexplained markers per image.
 const UNKNOWN_PER_IMAGE: f64 = 0.1;
@@ -24,6 +26,10 @@ pub struct Frame<'a> {
     pub ln_alone: Vec<f64>,
     /// Whether nobody owns the dot yet.
     pub free: Vec<bool>,
+    /// By camera, how much later than the frame's moment its image was taken (s); empty where all saw one moment.
+    pub lag_s: Vec<f64>,
+    /// How the dots move in the image (px/s), where cameras saw different moments and it is known.
+    pub flow: Vec<Option<Vector2<f64>>>,
     /// Dots that markers look at without owning them; numbered after the frame's own.
     borrowed: Vec<Sight>,
 }
@@ -39,6 +45,8 @@ impl<'a> Frame<'a> {
             widest_sigma_px: vec![0.0; cameras],
             ln_alone: Vec::with_capacity(dots.len()),
             free: vec![true; dots.len()],
+            lag_s: Vec::new(),
+            flow: Vec::new(),
             borrowed: Vec::new(),
         };
         for (index, dot) in dots.iter().enumerate() {
@@ -74,17 +82,30 @@ impl<'a> Frame<'a> {
         self.sight(dot).sigma_px
     }
 
+    /// How much later than the frame's moment a camera saw it (s).
+    pub fn lag_s(&self, camera: usize) -> f64 {
+        self.lag_s.get(camera).copied().unwrap_or(0.0)
+    }
+
+    /// The ray of a dot for a marker that moves, near a place, as of the frame's moment: a marker that goes on by v·lag seen
+    /// from one place is one that stays seen from a place v·lag behind. What is not known of its velocity adds noise.
+    pub fn ray(&self, dot: u32, motion: &Motion, near: &Vector3<f64>) -> Cow<'_, Sight> {
+        let sight = self.sight(dot);
+        let lag_s = self.lag_s(sight.camera);
+        if lag_s == 0.0 {
+            return Cow::Borrowed(sight);
+        }
+        let spread = motion.variance.sqrt() * lag_s.abs() / (sight.angle_sigma * sight.depth(near).max(1e-3));
+        let noisier = sight.with_noise((1.0 + spread * spread).sqrt());
+        Cow::Owned(Sight { origin: sight.origin - motion.velocity * lag_s, ..noisier })
+    }
+
     /// Gives a dot at least so much noise (px), because it may be two markers' in one; returns the number of a loan of
     /// it for the other marker.
     pub fn share(&mut self, dot: u32, least_sigma_px: f64) -> u32 {
         let sight = self.sight(dot);
         let factor = sight.sigma_px.max(least_sigma_px) / sight.sigma_px;
-        let shared = Sight {
-            rows: sight.rows / factor,
-            sigma_px: sight.sigma_px * factor,
-            angle_sigma: sight.angle_sigma * factor,
-            ..sight.clone()
-        };
+        let shared = sight.with_noise(factor);
         self.sights[dot as usize] = Some(shared.clone());
         self.borrowed.push(shared);
         (self.dots.len() + self.borrowed.len() - 1) as u32

@@ -4,6 +4,7 @@
 //! cost is χ² with two degrees of freedom per view. A set that does not pass loses, view by view, the dot without which
 //! the rest fits best, so each camera is judged by what the others say (leave-one-out gating).
 
+use super::flow::Motion;
 use super::frame::Frame;
 use super::view::Prior;
 use super::{Kind, Sample};
@@ -11,6 +12,7 @@ use crate::chi2;
 use crate::correspond::scene::Scene;
 use crate::sight::{Minimum, Normal, Sight};
 use nalgebra::{Matrix3, Vector3};
+use std::borrow::Cow;
 
 /// Probability with which correct views fail the check.
 const MISS_PROBABILITY: f64 = 1e-5;
@@ -35,11 +37,11 @@ pub struct Located {
 }
 
 impl Located {
-    /// A position with what the rays say there.
-    pub fn at(scene: &Scene, frame: &Frame, dots: Vec<u32>, point: Vector3<f64>) -> Self {
+    /// A position with what the rays say there, of a marker that moves so.
+    pub fn at(scene: &Scene, frame: &Frame, dots: Vec<u32>, point: Vector3<f64>, motion: &Motion) -> Self {
         let mut normal = Normal::default();
         for &dot in &dots {
-            let linear = frame.sight(dot).linearise(&point);
+            let linear = frame.ray(dot, motion, &point).linearise(&point);
             let weight = scene.model.tail.map_or(1.0, |t| t.weight(linear.error.norm_squared()));
             normal = normal.plus(&Normal::of(&linear, weight));
         }
@@ -58,7 +60,8 @@ impl Located {
         let pull = self.pull_from(&prior.point);
         let (point, covariance) = posterior(&prior.point, &prior.wide(), &self.information, &pull)?;
         let kind = if self.own >= 2 { Kind::Measured } else { Kind::Predicted };
-        Some(Sample::new(track, (point, covariance), kind, &self.dots, confidence).with_rays(frame))
+        let sample = Sample::new(track, (point, covariance), kind, &self.dots, confidence);
+        Some(Sample { velocity: prior.motion.velocity, ..sample }.with_rays(frame))
     }
 
     /// M (z − from).
@@ -106,10 +109,11 @@ fn agreeing(
     let information = covariance.try_inverse()?;
     let mut dots = dots.to_vec();
     loop {
-        let sights: Vec<&Sight> = dots.iter().map(|&d| frame.sight(d)).collect();
+        let rays: Vec<Cow<Sight>> = dots.iter().map(|&d| frame.ray(d, &prior.motion, &prior.point)).collect();
+        let sights: Vec<&Sight> = rays.iter().map(AsRef::as_ref).collect();
         let (point, cost) = solve(scene, &sights, prior, &information)?;
         if cost <= gates.0[dots.len()] {
-            return Some(Located::at(scene, frame, dots, point));
+            return Some(Located::at(scene, frame, dots, point, &prior.motion));
         }
         if dots.len() == 1 {
             return None;

@@ -2,6 +2,7 @@
 
 use super::body::{Carried, Seen};
 use super::filter::{Filter, Step};
+use super::flow::Motion;
 use super::frame::Frame;
 use super::locate::{Located, posterior};
 use super::view::Prior;
@@ -32,6 +33,10 @@ const SPEED_AMONG_NEIGHBOURS: f64 = 0.7;
 /// Frames in which a new marker must be seen: by three cameras or more, or by two.
 const HITS: u32 = 2;
 const HITS_OF_PAIRS: u32 = 4;
+/// Hidden for longer, an active marker comes back by its identity only (s).
+const SILENT_S: f64 = 0.3;
+/// Dots that must tell an identity before it is believed.
+const TELLERS: usize = 2;
 /// Frames in a row in which a tentative marker may be missed.
 const MISSES: u32 = 2;
 /// Most and each frame's gain of the log odds that a trajectory is a marker.
@@ -53,6 +58,10 @@ pub struct Marker {
     pub prior: Prior,
     /// What was found in this frame.
     pub located: Option<Located>,
+    /// The identity that it told, if it is an active marker.
+    pub hardware: Option<u32>,
+    /// Whether it is an active marker hidden for so long that only its identity brings it back.
+    pub must_tell: bool,
     acceleration: f64,
     /// Time of the last frame in which it was measured (s), and whether that was the last frame.
     seen_s: f64,
@@ -69,14 +78,23 @@ pub struct Marker {
 
 impl Marker {
     /// A marker from a point that was nobody's, found with `confidence`.
-    pub fn born(track: u32, slot: usize, found: Located, confidence: f64, time_s: f64, confirmed: bool) -> Self {
+    pub fn born(
+        (track, slot): (u32, usize),
+        (found, motion): (Located, Motion),
+        confidence: f64,
+        time_s: f64,
+        confirmed: bool,
+    ) -> Self {
         let covariance = found.information.try_inverse().unwrap_or_else(Matrix3::identity);
+        let speed_std = motion.variance.sqrt();
         Self {
             track,
             slot,
-            filter: Filter::new(found.point, &covariance, FIRST_ACCELERATION),
+            filter: Filter::moving(found.point, &covariance, motion.velocity, speed_std, FIRST_ACCELERATION),
             confirmed,
-            prior: Prior { point: found.point, covariance, push: 0.0, hidden: false },
+            prior: Prior { point: found.point, covariance, push: 0.0, hidden: false, hardware: None, must_tell: false, motion },
+            hardware: None,
+            must_tell: false,
             acceleration: FIRST_ACCELERATION,
             seen_s: time_s,
             live: true,
@@ -121,7 +139,8 @@ impl Marker {
     }
 
     /// Time update.
-    pub fn predict(&mut self, step: &Step) {
+    pub fn predict(&mut self, step: &Step, time_s: f64) {
+        self.must_tell = self.hardware.is_some() && time_s - self.seen_s > SILENT_S;
         self.filter.predict(step, self.acceleration);
         let push = (PUSH * self.acceleration).clamp(LEAST_PUSH, LARGEST_PUSH);
         self.prior = Prior {
@@ -129,6 +148,9 @@ impl Marker {
             covariance: *self.filter.covariance(),
             push: push * push * step.jump_variance(),
             hidden: !self.live,
+            hardware: self.hardware,
+            must_tell: self.must_tell,
+            motion: self.filter.motion(),
         };
         self.located = None;
     }
@@ -150,6 +172,9 @@ impl Marker {
             covariance: carried.covariance,
             push: carried.covariance.trace(),
             hidden: true,
+            hardware: self.hardware,
+            must_tell: self.must_tell,
+            motion: self.filter.motion(),
         };
     }
 
@@ -158,7 +183,7 @@ impl Marker {
         let Some(located) = &self.located else { return self.prior };
         let information = self.prior.wide().try_inverse().map(|i| i + located.information);
         let covariance = information.and_then(Matrix3::try_inverse).unwrap_or(self.prior.covariance);
-        Prior { point: located.point, covariance, push: 0.0, hidden: false }
+        Prior { point: located.point, covariance, push: 0.0, hidden: false, ..self.prior }
     }
 
     /// Whether one of its dots is of a camera.
@@ -175,6 +200,26 @@ impl Marker {
     pub fn release(&mut self, free: &mut [bool]) {
         self.mark(free, true);
         self.located = None;
+    }
+
+    /// Learns its identity where two of its own dots tell the same, and none another.
+    pub fn hear(&mut self, frame: &Frame) {
+        let own = self.located.iter().flat_map(|l| &l.dots).filter(|&&d| !frame.is_lent(d));
+        let told: Vec<u32> = own.filter_map(|&d| frame.dots[d as usize].hardware).collect();
+        if told.len() >= TELLERS && told.iter().all(|t| *t == told[0]) {
+            self.hardware = Some(told[0]);
+        }
+    }
+
+    /// Is nobody any more, and forgotten after this frame.
+    pub fn give_up(&mut self) {
+        self.misses = u32::MAX;
+    }
+
+    /// Becomes the marker that told the same identity before and is lost.
+    pub fn inherit(&mut self, lost: &Self) {
+        (self.track, self.slot, self.confirmed) = (lost.track, lost.slot, true);
+        self.log_odds = self.log_odds.max(lost.log_odds);
     }
 
     /// Marks its own dots; loans lie beyond the frame's.
@@ -299,8 +344,9 @@ impl Marker {
         self.state = (point, covariance);
     }
 
-    /// Whether it is to be forgotten.
-    pub fn is_gone(&self, time_s: f64, memory_s: f64) -> bool {
+    /// Whether it is to be forgotten. Among active markers, one that has not told who it is comes back as another.
+    pub fn is_gone(&self, time_s: f64, memory_s: f64, among_active: bool) -> bool {
+        let memory_s = if among_active && self.hardware.is_none() { SILENT_S } else { memory_s };
         if self.confirmed { time_s - self.seen_s > memory_s } else { self.misses >= MISSES }
     }
 
@@ -315,7 +361,7 @@ impl Marker {
         let kind = if self.is_measured() { Kind::Measured } else { Kind::Predicted };
         let confidence = 1.0 / (1.0 + (-self.log_odds).exp());
         let sample = Sample::new(self.track, self.state, kind, dots, confidence);
-        Sample { confirmed: self.confirmed, ..sample }
+        Sample { confirmed: self.confirmed, hardware: self.hardware, velocity: self.prior.motion.velocity, ..sample }
     }
 }
 

@@ -20,6 +20,7 @@ mod crowd;
 mod duplicate;
 mod exchange;
 pub mod filter;
+mod flow;
 mod frame;
 mod locate;
 mod marker;
@@ -31,6 +32,7 @@ mod share;
 mod view;
 
 pub use clock::{Moment, TimeError};
+pub use flow::{Shot, at_moments};
 
 use adapt::Adaptation;
 
@@ -41,10 +43,11 @@ use crate::correspond::optimal::{OptimalOptions, optimal};
 use crate::correspond::scene::{Scene, SceneModel};
 use crate::reconstruct::{ReconstructError, ReconstructOptions, estimate_model};
 use crowd::Crowd;
+use flow::{Flow, Motion, at_moment, motion_of};
 use frame::Frame;
 use locate::{LocateGates, Located, locate};
 use marker::Marker;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use share::Merging;
 use thiserror::Error;
 use view::{Prior, match_cameras};
@@ -77,6 +80,10 @@ pub struct Sample {
     pub ray_distance_m: f64,
     /// Probability that the trajectory is a marker.
     pub confidence: f64,
+    /// The velocity (m/s) by which its rays were moved, where cameras saw different moments.
+    pub velocity: Vector3<f64>,
+    /// The identity that the marker told, if it is an active one.
+    pub hardware: Option<u32>,
     /// Whether the trajectory was believed when the frame was pushed; others may turn out to be markers or ghosts later.
     pub confirmed: bool,
 }
@@ -92,15 +99,29 @@ impl Sample {
     ) -> Self {
         let (residual_px, ray_distance_m) = (0.0, 0.0);
         let dots = dots.to_vec();
-        Self { track, point, covariance, kind, dots, residual_px, ray_distance_m, confidence, confirmed: true }
+        let velocity = Vector3::zeros();
+        Self {
+            track,
+            point,
+            covariance,
+            kind,
+            dots,
+            residual_px,
+            ray_distance_m,
+            confidence,
+            velocity,
+            hardware: None,
+            confirmed: true,
+        }
     }
 
     /// Adds how far its own dots are from where it is; loans go.
     fn with_rays(mut self, frame: &Frame) -> Self {
         self.dots.retain(|&d| !frame.is_lent(d));
         let (mut squared_px, mut distance) = (0.0, 0.0);
+        let motion = Motion { velocity: self.velocity, variance: 0.0 };
         for &dot in &self.dots {
-            let sight = frame.sight(dot);
+            let sight = frame.ray(dot, &motion, &self.point);
             squared_px += sight.linearise(&self.point).error.norm_squared() * sight.sigma_px.powi(2);
             distance += (self.point - sight.origin).cross(&sight.direction).norm();
         }
@@ -189,6 +210,7 @@ pub struct Tracker {
     /// Dots of a usual frame.
     usual_dots: Option<f64>,
     merging: Merging,
+    flow: Flow,
 }
 
 impl Tracker {
@@ -202,6 +224,7 @@ impl Tracker {
             adaptation: None,
             usual_dots: None,
             merging: Merging::default(),
+            flow: Flow::default(),
         })
     }
 
@@ -216,9 +239,15 @@ impl Tracker {
 
     /// Follows the markers into the next frame. The order of the dots does not matter.
     pub fn push(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+        self.push_from_clocks(dots, moment, &[])
+    }
+
+    /// The same where cameras saw the frame at different moments: `lag_s` by camera, how much later than the frame's moment
+    /// (s); empty if all saw one.
+    pub fn push_from_clocks(&mut self, dots: &[Dot], moment: Moment, lag_s: &[f64]) -> Result<Tracked, TrackError> {
         let order = place_order(dots);
         let sorted: Vec<Dot> = order.iter().map(|&i| dots[i as usize]).collect();
-        let mut tracked = self.push_sorted(&sorted, moment)?;
+        let mut tracked = self.push_sorted(&sorted, moment, lag_s)?;
         for sample in &mut tracked.samples {
             sample.dots.iter_mut().for_each(|d| *d = order[*d as usize]);
             sample.dots.sort_unstable();
@@ -226,10 +255,20 @@ impl Tracker {
         Ok(tracked)
     }
 
-    fn push_sorted(&mut self, dots: &[Dot], moment: Moment) -> Result<Tracked, TrackError> {
+    fn push_sorted(&mut self, dots: &[Dot], moment: Moment, lag_s: &[f64]) -> Result<Tracked, TrackError> {
         self.crowd.advance(moment)?;
-        self.adapt(dots);
+        let flow = self.flow_of(dots, lag_s);
+        if lag_s.is_empty() {
+            self.adapt(dots);
+        } else {
+            let then = |(dot, flow): (&Dot, &Option<Vector2<f64>>)| {
+                at_moment(dot, *flow, lag_s[dot.camera], self.crowd.clock.interval_s())
+            };
+            let dots: Vec<Dot> = dots.iter().zip(&flow).filter_map(then).collect();
+            self.adapt(&dots);
+        }
         let mut frame = Frame::new(&self.scene, dots);
+        (frame.lag_s, frame.flow) = (lag_s.to_vec(), flow);
         self.assign(&mut frame, |m| m.confirmed);
         self.search(&mut frame);
         self.assign(&mut frame, |m| !m.confirmed);
@@ -246,6 +285,7 @@ impl Tracker {
         self.crowd.settle();
         self.crowd.drop_duplicates(&frame);
         self.give_birth(&frame, &groups);
+        self.crowd.hear(&frame);
         let samples = self.crowd.samples(|p| self.scene.model.region.contains(p));
         self.crowd.learn_and_forget();
         Ok(Tracked {
@@ -334,8 +374,11 @@ impl Tracker {
     fn fall_back(&mut self, frame: &Frame) -> Searched {
         let claims = self.single_claims(frame.dots.len());
         let unexplained = |d: usize| frame.sights[d].is_some() && (frame.free[d] || claims[d].is_some());
-        let left: Vec<usize> =
+        let mut left: Vec<usize> =
             (0..frame.dots.len()).filter(|&d| unexplained(d) && !is_half(frame, &claims, d)).collect();
+        let then = |d: &usize| self.as_of_moment(frame, *d);
+        left.retain(|d| then(d).is_some());
+        let dots: Vec<Dot> = left.iter().filter_map(then).collect();
         let live = self.crowd.markers.iter().filter(|m| m.is_found()).count() as f64;
         let lost = self.crowd.markers.iter().filter(|m| !m.is_found()).count() as f64;
         let missing =
@@ -351,7 +394,6 @@ impl Tracker {
             searched.overfull = true;
             return searched;
         }
-        let dots: Vec<Dot> = left.iter().map(|&d| frame.dots[d]).collect();
         let prepared = PreparedFrame::new(&self.scene, &dots);
         let solved = optimal(&self.scene, &prepared, &self.crowd.options.fall_back);
         searched.certified = solved.certified;
@@ -360,6 +402,22 @@ impl Tracker {
             group.dots.iter_mut().for_each(|d| *d = left[*d]);
         }
         searched
+    }
+
+    /// A dot as of the frame's moment.
+    fn as_of_moment(&self, frame: &Frame, dot: usize) -> Option<Dot> {
+        let one = &frame.dots[dot];
+        let flow = frame.flow.get(dot).copied().flatten();
+        at_moment(one, flow, frame.lag_s(one.camera), self.crowd.clock.interval_s())
+    }
+
+    /// How the dots move in the image, where cameras saw different moments.
+    fn flow_of(&mut self, dots: &[Dot], lag_s: &[f64]) -> Vec<Option<Vector2<f64>>> {
+        if lag_s.is_empty() {
+            return Vec::new();
+        }
+        let times_s: Vec<f64> = lag_s.iter().map(|lag| self.crowd.clock.time_s + lag).collect();
+        self.flow.take_in(&self.scene.rig, dots, &times_s)
     }
 
     /// By dot, the index of the marker that has it and no second one.
@@ -377,9 +435,12 @@ impl Tracker {
 
     /// Gives new points to lost markers; returns those that are nobody's.
     fn rematch(&mut self, frame: &mut Frame, searched: &Searched) -> Vec<Group> {
-        let owners = self.crowd.owners(&searched.groups, rematch::WORST);
+        let told: Vec<Option<u32>> = searched.groups.iter().map(|g| told_by(frame, g)).collect();
+        let owners = self.crowd.owners(&searched.groups, &told, rematch::WORST);
+        let interval_s = self.crowd.clock.interval_s();
         let mut left = Vec::new();
-        for (group, owner) in searched.groups.iter().zip(owners) {
+        for ((group, owner), told) in searched.groups.iter().zip(owners).zip(told) {
+            let owner = owner.or_else(|| self.impostor(frame, group, told));
             let claimed: Vec<usize> = group.dots.iter().filter_map(|&d| searched.claims[d]).collect();
             // Two hidden markers, each seen by one camera, explain two dots that happen to meet.
             if owner.is_none() && !claimed.is_empty() && group.dots.len() < 3 {
@@ -394,14 +455,28 @@ impl Tracker {
             };
             let marker = &mut self.crowd.markers[owner];
             marker.release(&mut frame.free);
-            marker.refind(Located::at(&self.scene, frame, dots_of(group), group.point));
+            let motion = motion_of(&self.scene.rig, frame, &dots_of(group), &group.point, interval_s);
+            marker.refind(Located::at(&self.scene, frame, dots_of(group), group.point, &motion));
             marker.claim(&mut frame.free);
         }
         left
     }
 
+    /// The marker that bears an identity which a point tells, while its own dots do not: it is another's place that it holds.
+    fn impostor(&self, frame: &Frame, group: &Group, told: Option<u32>) -> Option<usize> {
+        let told = told.filter(|_| group.dots.iter().filter(|&&d| frame.dots[d].hardware.is_some()).count() >= 2)?;
+        let bears = |m: &Marker| m.hardware == Some(told) && !m.located.iter().flat_map(|l| &l.dots).any(|&d| {
+            frame.dots.get(d as usize).is_some_and(|dot| dot.hardware == Some(told))
+        });
+        self.crowd.markers.iter().position(bears)
+    }
+
     /// New markers from points that are nobody's.
     fn give_birth(&mut self, frame: &Frame, groups: &[Group]) {
+        // Before anything is known of how dots move, only cameras of one clock could tell.
+        if !frame.lag_s.is_empty() && frame.flow.iter().all(Option::is_none) {
+            return;
+        }
         let first = self.crowd.is_new();
         for group in groups {
             let near = |m: &Marker| {
@@ -413,10 +488,16 @@ impl Tracker {
                 continue;
             }
             let confirmed = first && group.dots.len() >= 3 && group.confidence > 0.9;
-            let found = Located::at(&self.scene, frame, dots_of(group), group.point);
-            self.crowd.give_birth(found, group.confidence, confirmed);
+            let motion = motion_of(&self.scene.rig, frame, &dots_of(group), &group.point, self.crowd.clock.interval_s());
+            let found = Located::at(&self.scene, frame, dots_of(group), group.point, &motion);
+            self.crowd.give_birth((found, motion), group.confidence, confirmed);
         }
     }
+}
+
+/// The identity that a group's dots tell: pairs of dots that tell different ones do not match.
+fn told_by(frame: &Frame, group: &Group) -> Option<u32> {
+    group.dots.iter().find_map(|&d| frame.dots[d].hardware)
 }
 
 fn dots_of(group: &Group) -> Vec<u32> {

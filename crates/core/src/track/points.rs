@@ -3,6 +3,7 @@
 
 use super::clock::{Moment, TimeError};
 use super::crowd::Crowd;
+use super::flow::Motion;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::WORST_OF_POINTS;
@@ -68,7 +69,7 @@ impl PointTracker {
         self.crowd.settle();
         for (index, point) in points.iter().enumerate().filter(|(i, _)| free[*i]) {
             if let Some(found) = Located::measured(index as u32, point.point, &point.covariance()) {
-                self.crowd.give_birth(found, CONFIDENCE, false);
+                self.crowd.give_birth((found, Motion::unknown()), CONFIDENCE, false);
             }
         }
         let samples = self.crowd.samples(|_| true);
@@ -122,7 +123,7 @@ impl PointTracker {
             ray_distance_m: 0.0,
         };
         let groups: Vec<Group> = left.iter().map(group).collect();
-        for (owner, p) in self.crowd.owners(&groups, WORST_OF_POINTS).into_iter().zip(left) {
+        for (owner, p) in self.crowd.owners(&groups, &vec![None; groups.len()], WORST_OF_POINTS).into_iter().zip(left) {
             let found = Located::measured(p as u32, points[p].point, &points[p].covariance());
             if let (Some(owner), Some(found)) = (owner, found) {
                 self.crowd.markers[owner].refind(found);

@@ -18,22 +18,31 @@ const FARTHEST: f64 = 0.15;
 pub const WORST: f64 = 8.0;
 pub const WORST_OF_POINTS: f64 = 30.0;
 const LINK_GAIN: f64 = 0.7;
+/// What an identity brings (nats): more than all else.
+const CERTAIN: f64 = 1000.0;
 /// Largest cost of one link: one broken link does not decide.
 const WORST_LINK: f64 = 4.0;
 /// Links that are asked.
 const LINKS: usize = 6;
 
-/// For each point, the index in `lost` of the marker that it is.
+/// For each point, the index in `lost` of the marker that it is. A point that tells an identity is the marker that told it
+/// before, wherever that was expected, and no other that told one.
 pub fn rematch(
     markers: &[Marker],
     lost: &[usize],
-    groups: &[Group],
+    (groups, told): (&[Group], &[Option<u32>]),
     links: &Links,
     now: &[Option<Vector3<f64>>],
     worst: f64,
 ) -> Vec<Option<usize>> {
     assign(groups.len(), lost.len(), |g, l| {
         let marker = &markers[lost[l]];
+        if let (Some(told), Some(own)) = (told[g], marker.hardware) {
+            return (told == own).then_some(-CERTAIN);
+        }
+        if marker.must_tell {
+            return None;
+        }
         let cost = place_cost(marker, &groups[g])? + link_cost(marker, &groups[g].point, links, |slot| now[slot]);
         (cost < worst).then_some(cost - worst)
     })

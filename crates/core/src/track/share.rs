@@ -126,7 +126,8 @@ impl Tracker {
         if !known || distance_m * px_per_m > 2.0 * reach || other.has_dot_of(sight.camera, frame) {
             return None;
         }
-        let (pixel, by_point) = self.scene.rig.cameras[sight.camera].project_linear(&place)?;
+        let then = place + other.prior.motion.velocity * frame.lag_s(sight.camera);
+        let (pixel, by_point) = self.scene.rig.cameras[sight.camera].project_linear(&then)?;
         let spread =
             if other.is_found() { 0.0 } else { (by_point * other.prior.covariance * by_point.transpose()).trace() };
         let offset: Vector2<f64> = frame.pixel(dot) - pixel;

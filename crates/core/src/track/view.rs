@@ -6,6 +6,7 @@
 //! 99.9 % quantile is 15–80 times its median). What it must beat: that the dot belongs to nothing known, and that the
 //! camera missed the marker.
 
+use super::flow::Motion;
 use super::frame::Frame;
 use crate::assignment::assign;
 use crate::camera::Camera;
@@ -25,12 +26,28 @@ pub struct Prior {
     pub push: f64,
     /// Whether the marker was hidden in the frame before: then it is likely to be hidden still.
     pub hidden: bool,
+    /// The identity that it told, if it is an active marker.
+    pub hardware: Option<u32>,
+    /// Whether only dots that tell this identity are taken for it: hidden for long, its place says too little.
+    pub must_tell: bool,
+    /// How it moves: for cameras that saw it at another moment.
+    pub motion: Motion,
 }
 
 impl Prior {
     /// The covariance when there was a push.
     pub fn wide(&self) -> Matrix3<f64> {
         self.covariance + Matrix3::identity() * self.push
+    }
+
+    /// Where it is some time later (s).
+    pub fn after(&self, lag_s: f64) -> Vector3<f64> {
+        self.point + self.motion.velocity * lag_s
+    }
+
+    /// The covariance some time later (m²).
+    fn covariance_after(&self, lag_s: f64) -> Matrix3<f64> {
+        self.covariance + Matrix3::identity() * (self.motion.variance * lag_s * lag_s)
     }
 
     /// What it costs to believe that it is seen (nats), beyond what it costs of a marker that was seen just now.
@@ -57,6 +74,8 @@ const LN_PUSHED: f64 = -4.0;
 const LN_NOT_PUSHED: f64 = -0.018_5;
 /// How rarely a hidden marker comes back in a given frame.
 const LN_REAPPEARS: f64 = -4.0;
+/// What a dot that tells a marker's identity has for it (nats).
+const LN_TOLD: f64 = 8.0;
 /// Squared innovation (standard deviations) beyond which a dot is not looked at: χ², 2 degrees, 1e-4.
 const GATE: f64 = 18.4;
 /// Views from which on sharing them out among threads pays.
@@ -157,13 +176,34 @@ fn match_camera(
     let detection = scene.model.detection;
     let base = (detection / (1.0 - detection)).ln();
     let mut edges = Vec::with_capacity(2 * free.dots.len());
+    let known = Known::of(priors);
     for (who, prior) in priors.iter().enumerate() {
         let Some(prior) = prior.as_ref().filter(|_| wanted(who)) else { continue };
-        if let Some((view, near)) = free.near(&scene.rig.cameras[camera], who, prior) {
-            free.add_edges(&view, base, near, &mut edges);
+        if let Some((view, near)) = free.near(&scene.rig.cameras[camera], frame.lag_s(camera), who, prior) {
+            free.add_edges(&view, base, near, |told| known.gain(prior, told), &mut edges);
         }
     }
     best_pairs(edges)
+}
+
+/// Identities that markers are known to have told, in ascending order.
+struct Known(Vec<u32>);
+
+impl Known {
+    fn of(priors: &[Option<Prior>]) -> Self {
+        let mut told: Vec<u32> = priors.iter().flatten().filter_map(|p| p.hardware).collect();
+        told.sort_unstable();
+        Self(told)
+    }
+
+    /// What a dot's identity says for a marker's (nats): `None` if it is another's.
+    fn gain(&self, marker: &Prior, dot: Option<u32>) -> Option<f64> {
+        match (marker.hardware, dot) {
+            (_, None) => (!marker.must_tell).then_some(0.0),
+            (Some(marker), Some(dot)) => (marker == dot).then_some(LN_TOLD),
+            (None, Some(dot)) => self.0.binary_search(&dot).is_err().then_some(0.0),
+        }
+    }
 }
 
 /// Free dots of one camera, by ascending x.
@@ -172,6 +212,7 @@ struct Free {
     x: Vec<f64>,
     y: Vec<f64>,
     sigma_px: Vec<f64>,
+    hardware: Vec<Option<u32>>,
     /// Logarithm of the density (px⁻²) of dots there that belong to nothing known.
     ln_alone: Vec<f64>,
     widest_sigma_px: f64,
@@ -184,32 +225,42 @@ impl Free {
         let y = dots.iter().map(|&d| frame.pixel(d).y).collect();
         let sigma_px = dots.iter().map(|&d| frame.sigma_px(d)).collect();
         let ln_alone = dots.iter().map(|&d| frame.ln_alone[d as usize]).collect();
-        Self { dots, x, y, sigma_px, ln_alone, widest_sigma_px: frame.widest_sigma_px[camera] }
+        let hardware = dots.iter().map(|&d| frame.dots[d as usize].hardware).collect();
+        Self { dots, x, y, sigma_px, hardware, ln_alone, widest_sigma_px: frame.widest_sigma_px[camera] }
     }
 
     /// A marker's view, and the dots that may be within its gate; `None` if there are none. Most hidden markers end here.
-    fn near(&self, camera: &Camera, who: usize, prior: &Prior) -> Option<(View, Range<usize>)> {
-        let (pixel, by_point) = camera.project_linear(&prior.point)?;
-        let variance = by_point.norm_squared() * (prior.covariance.trace() + prior.push);
+    fn near(&self, camera: &Camera, lag_s: f64, who: usize, prior: &Prior) -> Option<(View, Range<usize>)> {
+        let (pixel, by_point) = camera.project_linear(&prior.after(lag_s))?;
+        let covariance = prior.covariance_after(lag_s);
+        let variance = by_point.norm_squared() * (covariance.trace() + prior.push);
         let reach = (GATE * (variance + self.widest_sigma_px * self.widest_sigma_px)).sqrt();
         let first = self.left_of(pixel.x - reach);
         let last = first + self.x[first..].iter().take_while(|&&x| x <= pixel.x + reach).count();
         if !self.y[first..last].iter().any(|y| (y - pixel.y).abs() <= reach) {
             return None;
         }
-        let own = by_point * prior.covariance * by_point.transpose();
+        let own = by_point * covariance * by_point.transpose();
         let push = by_point * by_point.transpose() * prior.push;
         Some((View { who, pixel, own, push }, first..last))
     }
 
-    fn add_edges(&self, view: &View, base: f64, near: Range<usize>, edges: &mut Vec<Edge>) {
+    fn add_edges(
+        &self,
+        view: &View,
+        base: f64,
+        near: Range<usize>,
+        trust: impl Fn(Option<u32>) -> Option<f64>,
+        edges: &mut Vec<Edge>,
+    ) {
         let mut mixture = Mixture::new(view, self.widest_sigma_px);
         for at in near {
             if self.sigma_px[at].to_bits() != mixture.sigma_px.to_bits() {
                 mixture = Mixture::new(view, self.sigma_px[at]);
             }
+            let Some(trusted) = trust(self.hardware[at]) else { continue };
             let offset = Vector2::new(self.x[at], self.y[at]) - view.pixel;
-            if let Some(gain) = mixture.ln(&offset).map(|ln| base + ln - self.ln_alone[at]).filter(|g| *g > 0.0) {
+            if let Some(gain) = mixture.ln(&offset).map(|ln| base + trusted + ln - self.ln_alone[at]).filter(|g| *g > 0.0) {
                 edges.push(Edge { who: view.who, dot: self.dots[at], gain });
             }
         }

@@ -67,6 +67,8 @@ fn sample_of(track: u32, carried: &Carried, confidence: f64) -> Sample {
         residual_px: 0.0,
         ray_distance_m: 0.0,
         confidence,
+        velocity: Vector3::zeros(),
+        hardware: None,
         confirmed: true,
     }
 }

@@ -4,11 +4,11 @@
 //! The same prediction, assignment and multi-view check as in the forward pass, on the dots that nobody owns.
 
 use super::super::filter::{Filter, Step};
+use super::super::flow::Motion;
 use super::super::frame::Frame;
 use super::super::locate::{LocateGates, locate};
 use super::super::view::{Prior, match_cameras};
-use super::super::{Kind, Sample, Tracked};
-use crate::correspond::frame::Dot;
+use super::super::{Kind, Sample, Shot, Tracked};
 use crate::correspond::scene::Scene;
 use std::collections::BTreeMap;
 
@@ -30,13 +30,13 @@ struct Runner {
 /// Prolongs all trajectories backwards and forwards. `identity` in the samples must be final.
 ///
 /// `scenes`: the index of the first frame from which on each holds, in ascending order from 0.
-pub fn extend(scenes: &[(usize, &Scene)], dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked]) {
+pub fn extend(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frames: &mut [Tracked]) {
     for forwards in [false, true] {
-        run(scenes, dots, times_s, frames, forwards);
+        run(scenes, shots, times_s, frames, forwards);
     }
 }
 
-fn run(scenes: &[(usize, &Scene)], dots: &[Vec<Dot>], times_s: &[f64], frames: &mut [Tracked], forwards: bool) {
+fn run(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frames: &mut [Tracked], forwards: bool) {
     let gates = LocateGates::new(scenes[0].1);
     let n = frames.len();
     let mut runners: BTreeMap<u32, Runner> = BTreeMap::new();
@@ -51,7 +51,7 @@ fn run(scenes: &[(usize, &Scene)], dots: &[Vec<Dot>], times_s: &[f64], frames: &
         advance(&mut runners, index, times_s);
         if !runners.is_empty() {
             let scene = scenes[scenes.partition_point(|s| s.0 <= index) - 1].1;
-            let found = search(scene, &gates, &dots[index], &frames[index], &mut runners, index);
+            let found = search(scene, &gates, &shots[index], &frames[index], &mut runners, (index, forwards));
             insert(&mut frames[index], found);
         }
         for sample in measured(&frames[index]) {
@@ -116,19 +116,24 @@ fn advance(runners: &mut BTreeMap<u32, Runner>, index: usize, times_s: &[f64]) {
 fn search(
     scene: &Scene,
     gates: &LocateGates,
-    dots: &[Dot],
+    shot: &Shot,
     tracked: &Tracked,
     runners: &mut BTreeMap<u32, Runner>,
-    index: usize,
+    (index, forwards): (usize, bool),
 ) -> Vec<Sample> {
-    let mut frame = Frame::new(scene, dots);
+    let mut frame = Frame::new(scene, &shot.dots);
+    frame.lag_s.clone_from(&shot.lag_s);
     tracked.samples.iter().flat_map(|s| &s.dots).for_each(|&d| frame.free[d as usize] = false);
     let step = Step::new(0.01);
     let jump = PUSH * PUSH * step.jump_variance();
     let priors: Vec<Option<Prior>> = runners
         .values()
         .map(|r| {
-            Some(Prior { point: r.filter.position, covariance: *r.filter.covariance(), push: jump, hidden: false })
+            let motion = r.filter.motion();
+            // Backwards in time the filter's velocity points against the marker's.
+            let motion = if forwards { motion } else { Motion { velocity: -motion.velocity, ..motion } };
+            let (point, covariance) = (r.filter.position, *r.filter.covariance());
+            Some(Prior { point, covariance, push: jump, hidden: false, hardware: None, must_tell: false, motion })
         })
         .collect();
     let mut found = vec![Vec::new(); priors.len()];

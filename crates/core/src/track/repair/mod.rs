@@ -5,6 +5,7 @@
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
 //!    (`exchange`) and whole limbs (`relabel`) hand out their pieces anew.
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
+//!    What active markers told of themselves stands above all that (`told`).
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap.
 
@@ -15,30 +16,31 @@ pub mod extend;
 pub mod join;
 pub mod joints;
 mod relabel;
+mod told;
 pub mod tracklets;
 mod twins;
 
-use super::{Sample, TrackOptions, Tracked};
-use crate::correspond::frame::Dot;
+use super::{Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
 use carry::carry;
 use confusion::untangle;
 use extend::extend;
 use join::{Chain, join};
+use told::follow_told;
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
 use twins::without_twins;
 
-/// Repairs a recorded take. `dots`, `times_s`: dots and time of each frame; `scenes`: the index of the first frame from
+/// Repairs a recorded take. `shots`, `times_s`: dots and time of each frame; `scenes`: the index of the first frame from
 /// which on each holds, in ascending order from 0.
 pub fn repair(
     scenes: &[(usize, &Scene)],
     options: &TrackOptions,
     frames: &[Tracked],
-    dots: &[Vec<Dot>],
+    shots: &[Shot],
     times_s: &[f64],
 ) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s, TORN, Some(dots));
-    extend(scenes, dots, times_s, &mut repaired);
+    let mut repaired = identify(frames, times_s, TORN, Some(shots));
+    extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
@@ -51,10 +53,10 @@ pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64]
 }
 
 /// Measured samples under the identities that the whole take gives them.
-fn identify(frames: &[Tracked], times_s: &[f64], torn: f64, dots: Option<&[Vec<Dot>]>) -> Vec<Tracked> {
+fn identify(frames: &[Tracked], times_s: &[f64], torn: f64, shots: Option<&[Shot]>) -> Vec<Tracked> {
     let (mut tracklets, mut owner) = cut(frames, times_s, torn);
-    if let Some(dots) = dots {
-        (tracklets, owner) = without_twins(tracklets, owner, frames, dots);
+    if let Some(shots) = shots {
+        (tracklets, owner) = without_twins(tracklets, owner, frames, shots);
     }
     let chains = join(&tracklets, times_s);
     let identity = identities(&tracklets, &chains);
@@ -69,6 +71,9 @@ fn identify(frames: &[Tracked], times_s: &[f64], torn: f64, dots: Option<&[Vec<D
     };
     let mut named: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
     untangle(&mut named, times_s);
+    if let Some(shots) = shots {
+        follow_told(&mut named, shots);
+    }
     named
 }
 

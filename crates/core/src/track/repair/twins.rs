@@ -3,7 +3,7 @@
 use super::tracklets::Tracklet;
 use crate::correspond::frame::Dot;
 use crate::track::duplicate::{NEAR, near};
-use crate::track::{Sample, Tracked};
+use crate::track::{Sample, Shot, Tracked};
 
 /// Share of a tracklet's frames in which it must have a twin.
 const MOSTLY: f64 = 0.8;
@@ -15,11 +15,11 @@ pub fn without_twins(
     tracklets: Vec<Tracklet>,
     mut owner: Vec<Vec<Option<usize>>>,
     frames: &[Tracked],
-    dots: &[Vec<Dot>],
+    shots: &[Shot],
 ) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
     let mut beside = vec![0.0; tracklets.len()];
-    for ((frame, owner), dots) in frames.iter().zip(&owner).zip(dots) {
-        for (a, b) in pairs_in_one_place(frame, owner, dots) {
+    for ((frame, owner), shot) in frames.iter().zip(&owner).zip(shots) {
+        for (a, b) in pairs_in_one_place(frame, owner, &shot.dots) {
             beside[if is_twin(&tracklets[a], &tracklets[b]) { a } else { b }] += 1.0;
         }
     }
@@ -72,7 +72,7 @@ mod tests {
 
     /// A marker on its way, seen by cameras 0–2, and another `apart` (m) from it in frames 40–45, seen by `cameras`.
     fn kept(apart: f64, cameras: [usize; 2]) -> usize {
-        let dot = |camera| Dot { camera, pixel: [0.0, 0.0], sigma: 1.0 };
+        let dot = |camera| Dot { camera, pixel: [0.0, 0.0], sigma: 1.0, hardware: None };
         let dots: Vec<Dot> = [0, 1, 2].into_iter().chain(cameras).map(dot).collect();
         let sample = |track, x, dots: &[u32]| {
             let state = (Vector3::new(x, 0.0, 1.0), Matrix3::identity() * 1e-6);
@@ -89,7 +89,7 @@ mod tests {
         let frames: Vec<Tracked> = (0..100).map(frame).collect();
         let times_s: Vec<f64> = (0..100).map(|f| f64::from(f) / 100.0).collect();
         let (tracklets, owner) = cut(&frames, &times_s, TORN);
-        let (kept, owner) = without_twins(tracklets, owner, &frames, &vec![dots; 100]);
+        let (kept, owner) = without_twins(tracklets, owner, &frames, &vec![Shot { dots, lag_s: Vec::new() }; 100]);
         let last = owner.iter().flatten().flatten().max().copied();
         assert_eq!(last, kept.len().checked_sub(1), "owners are numbered anew");
         usize::from(kept.iter().any(|t| t.track == 1))
