@@ -8,8 +8,11 @@ from markerloom import formats
 from markerloom.active import decode_leds, led_codes
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
+from markerloom.calibrate.board_rig import calibrate_board
+from markerloom.calibrate.boards import Board, read_board
 from markerloom.calibrate.check import check_rig
 from markerloom.calibrate.floor import origin_from_floor, origin_from_points
+from markerloom.calibrate.intrinsics import calibrate_intrinsics
 from markerloom.calibrate.origin import calibrate_origin
 from markerloom.calibrate.page import save_calibration_page
 from markerloom.calibrate.points import calibrate_points
@@ -44,6 +47,7 @@ from markerloom.triangulate import Triangulated, triangulate, two_rays
 
 __all__ = [
     "Blobs",
+    "Board",
     "Calibration",
     "Camera",
     "CameraView",
@@ -68,6 +72,8 @@ __all__ = [
     "Truth",
     "Wand",
     "bench",
+    "calibrate_board",
+    "calibrate_intrinsics",
     "calibrate_origin",
     "calibrate_points",
     "calibrate_wand",
@@ -83,12 +89,13 @@ __all__ = [
     "grey_images",
     "inspect",
     "knock",
-    "led_codes",
     "learn_mask",
+    "led_codes",
     "make_scene",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",
+    "read_board",
     "read_calibration",
     "read_mask",
     "read_observations",

@@ -81,7 +81,8 @@ def refuse_several_clocks(observations: Observations) -> None:
     if has_several_clocks(observations):
         raise InputError(
             "the cameras saw the frames at different moments (time_s), and markers move between: only track knows of "
-            f"that; use a take of genlocked cameras, or one in which nothing moves, without time_s ({observations.source})"
+            "that; use a take of genlocked cameras, or one in which nothing moves, without time_s "
+            f"({observations.source})"
         )
 
 

@@ -131,7 +131,8 @@ def framed_by_time(observations: Observations) -> Observations:
 class MatchedDots:
     """Observations that belong to a rig's cameras, ordered by frame, as the engine takes them.
 
-    ``hardware`` (m,): identity that an active marker told, −1 for none. ``row`` (m,): the observation's row in the input. ``observation`` (m,): its index within its frame and camera.
+    ``row`` (m,): the observation's row in the input. ``observation`` (m,): its index within its frame and camera.
+    ``hardware`` (m,): identity that an active marker told, −1 for none.
     """
 
     frames: Ints

@@ -60,8 +60,8 @@ def reconstruct(
     rig, dots, notes = usable_dots(observations, rig)
     if has_several_clocks(observations):
         notes.append(
-            "the cameras saw the frames at different moments (time_s): the rays of markers that move do not meet; track "
-            "knows of that, single frames do not"
+            "the cameras saw the frames at different moments (time_s): the rays of markers that move do not meet; "
+            "track knows of that, single frames do not"
         )
     stages["match"] = time.perf_counter() - clock
     model = _core.estimate_model(rig.core, dot_arrays(dots, 0, len(dots.frames)), noise_px)
@@ -161,7 +161,7 @@ def as_points(
 
 
 def _told_names(track: np.ndarray, hardware: np.ndarray) -> np.ndarray:
-    """Names of active markers' trajectories, by the identity that each told most often: "id17"; empty for the others."""
+    """Names of active markers' trajectories, by the identity that each told most often: "id17"; else empty."""
     label = np.full(len(track), "", dtype="<U12")
     told = hardware >= 0
     for one in np.unique(track[told]):

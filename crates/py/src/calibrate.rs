@@ -4,15 +4,16 @@ use crate::conv::{self, DotArrays};
 use crate::errors::InputError;
 use crate::rig::PyRig;
 use crate::synth::described;
+use markerloom_core::calibrate::board;
 use markerloom_core::calibrate::bootstrap::Start;
-use markerloom_core::calibrate::bundle::Sighting;
+use markerloom_core::calibrate::bundle::{Pose, Sighting};
 use markerloom_core::calibrate::bundle::covariance::covariance;
 use markerloom_core::calibrate::points::from_points;
 use markerloom_core::calibrate::refine::refine;
 use markerloom_core::calibrate::wand::{Span, Wand};
 use markerloom_core::calibrate::wave::{Options, Wave, calibrate};
 use markerloom_core::camera::{Camera, Lens};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -156,4 +157,51 @@ pub fn refine_rig<'py>(
     let (cameras, noise) =
         refined.ok_or_else(|| InputError::new_err("the cameras cannot be refined from these points"))?;
     Ok((cameras.iter().map(|c| described(py, c)).collect::<PyResult<_>>()?, noise))
+}
+
+/// Cameras and board poses (rotation, position) adjusted together: cameras, noise (px), residuals, which are used,
+/// covariance. `view`: pose, camera and corner of each pixel.
+#[pyfunction]
+pub fn adjust_board<'py>(
+    py: Python<'py>,
+    rig: &PyRig,
+    corners_m: Vec<[f64; 3]>,
+    poses: Vec<([[f64; 3]; 3], [f64; 3])>,
+    view: Vec<[usize; 3]>,
+    pixel: Vec<[f64; 2]>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let cameras = &rig.inner.cameras;
+    let in_range = |v: &[usize; 3]| v[0] < poses.len() && v[1] < cameras.len() && v[2] < corners_m.len();
+    if view.len() != pixel.len() || !view.iter().all(in_range) {
+        return Err(InputError::new_err("poses, cameras, corners and pixels do not fit together"));
+    }
+    let mut order: Vec<usize> = (0..view.len()).collect();
+    order.sort_by_key(|&i| view[i]);
+    let sightings = order.iter().map(|&i| {
+        let [pose, camera, marker] = view[i];
+        Sighting { pose, camera, marker, pixel: pixel[i].into(), weight: 1.0 }
+    });
+    let sightings: Vec<Sighting> = sightings.collect();
+    let corners: Vec<Vector3<f64>> = corners_m.into_iter().map(Vector3::from).collect();
+    let pose = |(r, t): &([[f64; 3]; 3], [f64; 3])| Pose {
+        rotation: Matrix3::from_fn(|i, j| r[i][j]),
+        position_m: Vector3::from(*t),
+    };
+    let poses: Vec<Pose> = poses.iter().map(pose).collect();
+    let (bundle, noise) = py
+        .detach(|| board::adjust(cameras, &corners, &poses, sightings))
+        .ok_or_else(|| InputError::new_err("the board has no extent"))?;
+    let out = PyDict::new(py);
+    out.set_item("cameras", bundle.cameras.iter().map(|c| with_lens(py, c)).collect::<PyResult<Vec<_>>>()?)?;
+    out.set_item("noise_px", noise)?;
+    out.set_item("row", order.iter().map(|&i| i as i64).collect::<Vec<_>>().into_pyarray(py))?;
+    out.set_item("used", bundle.sightings.iter().map(|s| s.weight > 0.0).collect::<Vec<_>>().into_pyarray(py))?;
+    let off = |s| bundle.residual(s).map_or([f64::NAN; 2], Into::into);
+    out.set_item("residual_px", table(py, bundle.sightings.iter().flat_map(off).collect(), 2)?)?;
+    out.set_item("redundancy_factor", bundle.redundancy_factor())?;
+    if let Some(matrix) = covariance(&bundle, true) {
+        let n = matrix.nrows();
+        out.set_item("covariance", table(py, matrix.iter().copied().collect(), n)?)?;
+    }
+    Ok(out)
 }

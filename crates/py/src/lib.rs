@@ -34,6 +34,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_points, module)?)?;
+    module.add_function(wrap_pyfunction!(calibrate::adjust_board, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::refine_rig, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::estimate_model, module)?)?;
     module.add_function(wrap_pyfunction!(reconstruct::reconstruct, module)?)?;

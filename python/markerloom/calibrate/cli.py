@@ -10,6 +10,7 @@ import typer
 from markerloom import formats
 from markerloom import report as reports
 from markerloom.calibrate.check import check_rig
+from markerloom.calibrate.cli_board import board, intrinsics
 from markerloom.calibrate.cli_wand import ImageSize, ImageSizes, sizes, wand
 from markerloom.calibrate.floor import origin_from_floor, origin_from_points
 from markerloom.calibrate.origin import calibrate_origin
@@ -44,6 +45,8 @@ def calibrate() -> None:
 
 
 app.command()(wand)
+app.command()(intrinsics)
+app.command()(board)
 
 
 @app.command()

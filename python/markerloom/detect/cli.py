@@ -11,11 +11,10 @@ import typer
 from markerloom import formats
 from markerloom import report as reports
 from markerloom.active import decode_leds
-from markerloom.detect.images import grey_images, write_png
+from markerloom.detect.images import grey_images, sources_by_camera, write_png
 from markerloom.detect.takes import detect as run_detect
 from markerloom.detect.takes import learn_mask as run_learn_mask
 from markerloom.detect.takes import read_mask
-from markerloom.errors import InputError
 
 
 def detect(
@@ -51,7 +50,7 @@ def detect(
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     if formats.ending(output) not in formats.TABLE_ENDINGS:
         raise typer.BadParameter(f"{output}: observations are written as {', '.join(formats.TABLE_ENDINGS)}")
-    cameras = _cameras(sources, names)
+    cameras = sources_by_camera(sources, names)
     masks = {}
     for camera in cameras:
         ignored = [] if mask is None else [read_mask(_own(mask, camera))]
@@ -82,15 +81,6 @@ def detect(
         for text in result["warnings"]:
             typer.echo(f"warning: {text}", err=True)
         typer.echo(f"{result['dots']} dots in {result['frames']} images of {len(cameras)} cameras → {output}")
-
-
-def _cameras(sources: list[Path], names: str | None) -> dict[str, Path]:
-    ids = [p.stem for p in sources] if names is None else [n.strip() for n in names.split(",")]
-    if len(ids) != len(sources):
-        raise typer.BadParameter(f"{len(ids)} names for {len(sources)} cameras", param_hint="--names")
-    if len(set(ids)) < len(ids):
-        raise InputError(f"two cameras have the same name ({', '.join(ids)}): tell them apart with --names")
-    return dict(zip(ids, sources, strict=True))
 
 
 def _own(path: Path, camera: str) -> Path:

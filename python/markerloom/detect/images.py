@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,16 @@ def grey_images(source: str | Path) -> Iterator[Grey]:
         raise InputError(f"no image in the folder {path} ({', '.join(IMAGES)})")
     for file in files:
         yield from _of_file(file)
+
+
+def sources_by_camera(sources: Sequence[Path], names: str | None) -> dict[str, Path]:
+    """Camera ids with their sources: names with commas between, or the files' and folders' own names."""
+    ids = [p.stem for p in sources] if names is None else [n.strip() for n in names.split(",")]
+    if len(ids) != len(sources):
+        raise InputError(f"--names: {len(ids)} names for {len(sources)} cameras")
+    if len(set(ids)) < len(ids):
+        raise InputError(f"two cameras have the same name ({', '.join(ids)}): tell them apart with --names")
+    return dict(zip(ids, sources, strict=True))
 
 
 def rate_hz(source: str | Path) -> float | None:

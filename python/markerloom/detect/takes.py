@@ -44,9 +44,10 @@ def detect(
     """Find the markers in recordings: for each camera id a video, an image, or a folder of images (frame by frame).
 
     Options as in ``detect_markers``; ``masks`` and ``backgrounds`` by camera. ``threads``: 0 = all cores; the result is
-    the same for any number. The observations have ``radius``, ``sigma`` (px), ``brightness``, ``quality`` (see ``Blobs``). The report
-    has, by camera, ``frames``, ``dots``, ``dots_per_frame``, and counts of what was hidden, merged, clipped, saturated;
-    ``warnings`` name images without markers, of another size, or that cannot be read: what came before them is kept.
+    the same for any number. The observations have ``radius``, ``sigma`` (px), ``brightness`` and ``quality`` (see
+    ``Blobs``). The report has, by camera, ``frames``, ``dots``, ``dots_per_frame``, and counts of what was hidden,
+    merged, clipped, saturated; ``warnings`` name images without markers, of another size, or that cannot be read: what
+    came before them is kept.
     """
     if not sources:
         raise InputError("no image or video was given")

@@ -89,7 +89,6 @@ def _summary(synced: Synced, output: list[Path]) -> str:
             lines.append(f"{clock['name']}: the reference, {clock['rate_hz']:g} Hz")
             continue
         drift = f", drift {clock['drift_ppm']:+.1f} ± {clock['drift_sigma_ppm']:.1f} ppm" if clock["drift_ppm"] else ""
-        lines.append(
-            f"{clock['name']}: its frame 0 is reference frame {clock['offset_frames']:+.3f} ± {clock['sigma_frames']:.3f}{drift}"
-        )
+        at = f"{clock['offset_frames']:+.3f} ± {clock['sigma_frames']:.3f}"
+        lines.append(f"{clock['name']}: its frame 0 is reference frame {at}{drift}")
     return "\n".join([*lines, f"→ {', '.join(str(p) for p in output)}"])

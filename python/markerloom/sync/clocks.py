@@ -24,8 +24,9 @@ WAYS = ("motion", "timecode", *EVENTS)
 class Clock:
     """A recording's clock against the reference's.
 
-    Its frame n was taken at ``offset_s + n (1 + drift_ppm / 10⁶) / rate_hz`` seconds of the reference, whose own frame 0
-    is at 0 s. ``sigma_s``: standard deviation of that in the middle of the recording; ``drift_sigma_ppm`` of the drift.
+    Its frame n was taken at ``offset_s + n (1 + drift_ppm / 10⁶) / rate_hz`` seconds of the reference, whose own frame
+    0 is at 0 s. ``sigma_s``: standard deviation of that in the middle of the recording; ``drift_sigma_ppm`` of the
+    drift.
     """
 
     name: str
@@ -45,7 +46,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Synced:
-    """Recordings on one clock. ``recordings``: as given, with ``time_s``; ``merged``: all in one, by reference frame."""
+    """Recordings on one clock. ``recordings``: as given, with ``time_s``; ``merged``: all, by reference frame."""
 
     recordings: tuple[Observations, ...]
     merged: Observations
@@ -159,7 +160,7 @@ def _clocks(parts: list[_Part], reference: int, rig: Rig | None, by: str, offset
                 except InputError as error:
                     failed.setdefault(index, str(error))
                     continue
-                found[index] = _chained(_clock(part := parts[index]), found[known], against, by, part)
+                found[index] = _chained(_clock(parts[index]), found[known], against, by)
                 break
         if len(found) == before:
             raise InputError(
@@ -184,7 +185,7 @@ def _against(first: Observations, second: Observations, rig: Rig | None, by: str
     return clock_from_events(first, second, by)
 
 
-def _chained(own: Clock, known: Clock, against: dict[str, Any], by: str, part: _Part) -> Clock:
+def _chained(own: Clock, known: Clock, against: dict[str, Any], by: str) -> Clock:
     """A clock known against another, against the reference."""
     stretch = 1.0 + 1e-6 * known.drift_ppm
     drift = (stretch * (1.0 + 1e-6 * against["drift_ppm"]) - 1.0) * 1e6

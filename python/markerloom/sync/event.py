@@ -38,7 +38,7 @@ def clock_from_events(first: Observations, second: Observations, by: str) -> dic
     a, b = times
     spread = b - b.mean()
     drift, drift_sigma = 0.0, 0.0
-    # Two events tell a drift only where they are so far apart that a frame's error in them is less than crystals differ by.
+    # Events tell a drift only where a frame's error in them is less than crystals differ by in the time between.
     if len(a) > 1 and np.ptp(b) * 1e-4 > 2.0 * quantum:
         drift = float(spread @ (a - a.mean()) / (spread @ spread)) - 1.0
         drift_sigma = np.sqrt(2.0) * quantum / np.sqrt(spread @ spread)

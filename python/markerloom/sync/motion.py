@@ -18,7 +18,7 @@ JUMP_FRAMES = 0.3
 def clock_from_motion(first: Observations, second: Observations, rig: Rig) -> dict[str, Any]:
     """Offset (s), drift (ppm) and standard deviations of the second recording's clock against the first's."""
     rates = float(first.rate_hz or 0.0), float(second.rate_hz or 0.0)
-    arrays = [_arrays(take, rig) for take in (first, second)]
+    arrays = _arrays(first, rig), _arrays(second, rig)
     starts = [int(take.frames[0]) for take in (first, second)]
     try:
         found = _core.synchronise(rig.core, *arrays, rates[1] / rates[0])

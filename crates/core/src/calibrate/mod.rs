@@ -4,6 +4,7 @@
 //! (two views, then resections), [`bundle`] adjusts cameras and wand poses together, [`wave`] is the whole chain.
 //! World frame of a rig that nothing else defines: see [`bootstrap`].
 
+pub mod board;
 pub mod bootstrap;
 pub mod bundle;
 pub mod epipolar;

@@ -2,11 +2,15 @@
 //!
 //! A wand wave fixes no world: six combinations of the parameters (seven without a known length) are free. The
 //! covariance is given for the rig laid onto its own camera centres by least squares, so that it is what is left of the errors
-//! after such an alignment with the truth (inner constraints; Triggs et al. 2000, §9.2).
+//! after such an alignment with the truth (inner constraints; Triggs et al. 2000, §9.2). Centres on one line, as two always
+//! are, leave the turn about it open: then the cameras' directions are laid onto their own as well.
 
 use super::Bundle;
 use super::camera::PARAMETERS;
 use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
+
+/// Centres whose extent across is this part of that along lie on one line.
+const LINE: f64 = 1e-3;
 
 /// Covariance of all cameras' parameters (15 each), where the weights are true inverse variances.
 ///
@@ -47,6 +51,15 @@ fn clear_held(bundle: &Bundle, mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     matrix
 }
 
+/// What the cameras' directions count beside their centres (m²): nothing, unless the centres lie on one line.
+fn direction_weight(arms: &[Vector3<f64>]) -> f64 {
+    let scatter: Matrix3<f64> = arms.iter().map(|a| a * a.transpose()).sum();
+    let spread = scatter.symmetric_eigenvalues();
+    let mut ordered = [spread[0], spread[1], spread[2]];
+    ordered.sort_by(f64::total_cmp);
+    if ordered[1] < LINE * LINE * ordered[2] { ordered[2] / arms.len().max(1) as f64 } else { 0.0 }
+}
+
 /// Motions of the whole world (columns), and the constraints (rows) by which the centres of the cameras that see
 /// something hold it.
 fn gauge(bundle: &Bundle, seeing: &[usize], scale_known: bool) -> (DMatrix<f64>, DMatrix<f64>) {
@@ -56,6 +69,8 @@ fn gauge(bundle: &Bundle, seeing: &[usize], scale_known: bool) -> (DMatrix<f64>,
     let middle = centers.sum::<Vector3<f64>>() / seeing.len() as f64;
     let mut freedoms = DMatrix::zeros(n * PARAMETERS, kinds);
     let mut constraints = DMatrix::zeros(kinds, n * PARAMETERS);
+    let arms: Vec<Vector3<f64>> = seeing.iter().map(|i| bundle.cameras[*i].position_m - middle).collect();
+    let reach = direction_weight(&arms);
     for &i in seeing {
         let camera = &bundle.cameras[i];
         let at = i * PARAMETERS;
@@ -67,6 +82,7 @@ fn gauge(bundle: &Bundle, seeing: &[usize], scale_known: bool) -> (DMatrix<f64>,
         freedoms.view_mut((at, 3), (3, 3)).copy_from(&-camera.camera_from_world);
         constraints.view_mut((0, at + 3), (3, 3)).copy_from(&Matrix3::identity());
         constraints.view_mut((3, at + 3), (3, 3)).copy_from(&turn.transpose());
+        constraints.view_mut((3, at), (3, 3)).copy_from(&(camera.camera_from_world.transpose() * -reach));
         if !scale_known {
             freedoms.view_mut((at + 3, 6), (3, 1)).copy_from(&arm);
             constraints.view_mut((6, at + 3), (1, 3)).copy_from(&arm.transpose());
