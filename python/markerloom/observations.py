@@ -88,8 +88,8 @@ def all_frames(frame: Ints, source: str) -> Ints:
 def framed_by_time(observations: Observations) -> Observations:
     """The rows in frames of one clock: each goes to the frame nearest to its ``time_s``.
 
-    Frame numbers stay where they fit the time already; the camera with most dots decides what number a time has. Where
-    a camera has two frames nearest to one, the nearer counts, and a warning tells of the other.
+    Frame numbers stay where those of some camera fit the time already; else the camera with most dots decides what
+    number a time has. Where a camera has two frames nearest to one, the nearer counts; a warning tells of the other.
     """
     time_s, rate = observations.optional["time_s"], observations.rate_hz
     if rate is None:
@@ -97,10 +97,12 @@ def framed_by_time(observations: Observations) -> Observations:
     known = np.isfinite(time_s)
     exact = np.where(known, time_s * rate, observations.frame)
     frame = np.floor(exact + 0.5).astype(np.int64)
-    usual = np.bincount(observations.camera[known]).argmax() if known.any() else 0
-    own = known & (observations.camera == usual)
-    if own.any():
-        frame = frame + int(np.median(observations.frame[own] - frame[own]))
+    counts = np.bincount(observations.camera[known], minlength=1)
+    apart = [
+        int(np.median((observations.frame - frame)[known & (observations.camera == c)])) for c in np.flatnonzero(counts)
+    ]
+    if apart and 0 not in apart:
+        frame = frame + apart[int(counts[counts > 0].argmax())]
     # Of several frames of a camera that fall into one, only the nearest stays.
     offset = np.abs(exact - np.floor(exact + 0.5))
     order = np.lexsort((observations.frame, offset, observations.camera, frame))

@@ -165,7 +165,8 @@ impl Strands {
         // What has just appeared moves like what is next to it.
         let beside = |at: usize| {
             let distance = |other: &usize| (self.places[*other] - self.places[at]).norm_squared();
-            let nearest = own.clone().filter(|o| moved(*o).is_some()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
+            let nearest =
+                own.clone().filter(|o| moved(*o).is_some()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
             nearest.filter(|o| distance(o) < largest * largest).and_then(moved).unwrap_or_default()
         };
         let expected: Vec<Vector2<f64>> =

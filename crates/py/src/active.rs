@@ -29,10 +29,8 @@ pub fn decode_leds<'py>(
     if !in_order || starts.last() != Some(&brightness.len()) || pixel.dim() != (brightness.len(), 2) {
         return Err(InputError::new_err("frame starts, pixels and brightness do not fit together"));
     }
-    let frames: Vec<Vec<Vector2<f64>>> = starts
-        .windows(2)
-        .map(|p| (p[0]..p[1]).map(|i| Vector2::new(pixel[(i, 0)], pixel[(i, 1)])).collect())
-        .collect();
+    let frames: Vec<Vec<Vector2<f64>>> =
+        starts.windows(2).map(|p| (p[0]..p[1]).map(|i| Vector2::new(pixel[(i, 0)], pixel[(i, 1)])).collect()).collect();
     let told = py.detach(|| {
         let largest = LARGEST_STEP * width_px;
         decode(&Strands::new(&frames, largest), &brightness, largest, Blinking { frames_per_bit })

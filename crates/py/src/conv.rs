@@ -81,7 +81,12 @@ impl DotArrays<'_> {
         for i in 0..camera.len() {
             let index =
                 usize::try_from(camera[i]).ok().filter(|c| *c < cameras).ok_or_else(|| wrong("no such camera"))?;
-            dots.push(Dot { camera: index, pixel: [pixel[(i, 0)], pixel[(i, 1)]], sigma: sigma[i], hardware: u32::try_from(hardware[i]).ok() });
+            dots.push(Dot {
+                camera: index,
+                pixel: [pixel[(i, 0)], pixel[(i, 1)]],
+                sigma: sigma[i],
+                hardware: u32::try_from(hardware[i]).ok(),
+            });
         }
         let mut ranges = Vec::with_capacity(starts.len());
         for pair in starts.to_vec().windows(2) {

@@ -16,8 +16,8 @@ EVENTS = ("flash", "clap")
 Array = NDArray[np.floating[Any]]
 AROUND_S = 0.5
 """Length of time (s) from which the usual number of dots is taken."""
-CLEAR = 8.0
-"""An event stands out by so many robust standard deviations of the usual."""
+CLEAR, USUAL_PERCENT = 3.0, 98.0
+"""An event is so many times what this percentage of the frames stays below."""
 SAME = 0.5
 """Events this strong beside the strongest count."""
 APART_S = 0.2
@@ -58,8 +58,8 @@ def _times_s(take: Observations, by: str) -> Array:
     signal = _flashes(take) if by == "flash" else _stops(take)
     length = max(3, int(AROUND_S * rate) | 1)
     excess = np.abs(signal - median_filter(signal, size=length, mode="nearest"))
-    usual = max(1.4826 * float(np.median(excess)), 1e-3 * float(excess.max(initial=0.0)))
-    if excess.max(initial=0.0) <= CLEAR * max(usual, 1e-12):
+    usual = float(np.percentile(excess, USUAL_PERCENT))
+    if excess.max(initial=0.0) <= CLEAR * max(usual, 1e-9):
         raise InputError(f"no {by} stands out in it: state the offset by hand ({take.source})")
     order = np.argsort(-excess, kind="stable")
     times: list[float] = []

@@ -104,7 +104,10 @@ mod tests {
 
     #[test]
     fn the_book_never_changes() {
-        let sum = book().iter().enumerate().fold(0_u64, |s, (k, w)| s.wrapping_mul(31).wrapping_add(u64::from(w.0) + k as u64));
+        let sum = book()
+            .iter()
+            .enumerate()
+            .fold(0_u64, |s, (k, w)| s.wrapping_mul(31).wrapping_add(u64::from(w.0) + k as u64));
         assert_eq!((book()[0].0, sum), (268_255, 14_223_857_686_440_130_198));
     }
 }

@@ -257,8 +257,7 @@ mod tests {
     #[test]
     fn bits_may_last_several_frames() {
         let word = book()[9];
-        let brightness: Vec<f64> =
-            (0..200).map(|f| if word.is_bright((f + 11) / 3) { 200.0 } else { 100.0 }).collect();
+        let brightness: Vec<f64> = (0..200).map(|f| if word.is_bright((f + 11) / 3) { 200.0 } else { 100.0 }).collect();
         let strands = Strands::new(&vec![vec![Vector2::new(10.0, 10.0)]; 200], 5.0);
         let told = decode(&strands, &brightness, 5.0, Blinking { frames_per_bit: 3 });
         assert_eq!(told[4..196], vec![Some(9); 192]);

@@ -158,7 +158,10 @@ fn most_moving(views: &[View]) -> usize {
     }
     let motion = |start: usize| -> f64 {
         let sampled = (start..start + SPAN).step_by(SPAN / ASKED);
-        sampled.flat_map(|k| views.iter().flat_map(move |v| v.strands.moving(k as i64))).map(|m| m.per_frame.norm()).sum()
+        sampled
+            .flat_map(|k| views.iter().flat_map(move |v| v.strands.moving(k as i64)))
+            .map(|m| m.per_frame.norm())
+            .sum()
     };
     let starts = (0..=frames - SPAN).step_by(SPAN / 2);
     starts.map(|s| (s, motion(s))).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |b| b.0)
@@ -166,7 +169,8 @@ fn most_moving(views: &[View]) -> usize {
 
 fn questions(first: &[View], pairs: &[CameraPair], asked: &[usize]) -> Vec<Question> {
     let of = |frame: usize, pair: &CameraPair| {
-        let lines: Vec<Line> = first[pair.views[0]].strands.dots(frame as i64).iter().filter_map(|p| pair.line(p)).collect();
+        let lines: Vec<Line> =
+            first[pair.views[0]].strands.dots(frame as i64).iter().filter_map(|p| pair.line(p)).collect();
         (!lines.is_empty()).then_some(Question { frame, view: pair.views[1], lines })
     };
     asked.iter().flat_map(|&k| pairs.iter().filter_map(move |p| of(k, p))).collect()
@@ -177,7 +181,9 @@ fn near_px(first: &[View], pairs: &[CameraPair], asked: &[usize]) -> f64 {
     let mut speeds: Vec<f64> = Vec::new();
     for pair in pairs.iter().take(PAIRS) {
         for &frame in asked {
-            speeds.extend(first[pair.views[0]].strands.moving(frame as i64).map(|m| m.per_frame.norm() * pair.focal_px()));
+            speeds.extend(
+                first[pair.views[0]].strands.moving(frame as i64).map(|m| m.per_frame.norm() * pair.focal_px()),
+            );
         }
     }
     if speeds.is_empty() {

@@ -1,7 +1,7 @@
 //! The epipolar test between dots of two cameras at one moment.
 
-use crate::strands::Moving;
 use crate::camera::Camera;
+use crate::strands::Moving;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Two cameras, of two recordings.

@@ -2,9 +2,9 @@
 //! measured: by dots (`mod.rs`) or by points of another system (`points.rs`).
 
 use super::body::{Body, Seen};
-use super::frame::Frame;
 use super::clock::{Clock, Moment, TimeError};
 use super::flow::Motion;
+use super::frame::Frame;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::rematch;

@@ -38,7 +38,8 @@ impl Crowd {
                 continue;
             }
             let near = |l: &&Link| l.other > slot && l.mean_m < NEAR && now[l.other].is_some();
-            let other = self.body.links.of(slot).iter().filter(near).filter_map(|l| at[l.other]).filter(|&o| !is_told(o));
+            let other =
+                self.body.links.of(slot).iter().filter(near).filter_map(|l| at[l.other]).filter(|&o| !is_told(o));
             let worth = |&o: &usize| self.gain_of_exchange(&self.markers[one], &self.markers[o], &now, &last) > ENOUGH;
             if let Some(other) = other.into_iter().find(worth) {
                 let located = self.markers[one].located.take();

@@ -465,9 +465,14 @@ impl Tracker {
     /// The marker that bears an identity which a point tells, while its own dots do not: it is another's place that it holds.
     fn impostor(&self, frame: &Frame, group: &Group, told: Option<u32>) -> Option<usize> {
         let told = told.filter(|_| group.dots.iter().filter(|&&d| frame.dots[d].hardware.is_some()).count() >= 2)?;
-        let bears = |m: &Marker| m.hardware == Some(told) && !m.located.iter().flat_map(|l| &l.dots).any(|&d| {
-            frame.dots.get(d as usize).is_some_and(|dot| dot.hardware == Some(told))
-        });
+        let bears = |m: &Marker| {
+            m.hardware == Some(told)
+                && !m
+                    .located
+                    .iter()
+                    .flat_map(|l| &l.dots)
+                    .any(|&d| frame.dots.get(d as usize).is_some_and(|dot| dot.hardware == Some(told)))
+        };
         self.crowd.markers.iter().position(bears)
     }
 
@@ -488,7 +493,8 @@ impl Tracker {
                 continue;
             }
             let confirmed = first && group.dots.len() >= 3 && group.confidence > 0.9;
-            let motion = motion_of(&self.scene.rig, frame, &dots_of(group), &group.point, self.crowd.clock.interval_s());
+            let motion =
+                motion_of(&self.scene.rig, frame, &dots_of(group), &group.point, self.crowd.clock.interval_s());
             let found = Located::at(&self.scene, frame, dots_of(group), group.point, &motion);
             self.crowd.give_birth((found, motion), group.confidence, confirmed);
         }

@@ -260,7 +260,9 @@ impl Free {
             }
             let Some(trusted) = trust(self.hardware[at]) else { continue };
             let offset = Vector2::new(self.x[at], self.y[at]) - view.pixel;
-            if let Some(gain) = mixture.ln(&offset).map(|ln| base + trusted + ln - self.ln_alone[at]).filter(|g| *g > 0.0) {
+            if let Some(gain) =
+                mixture.ln(&offset).map(|ln| base + trusted + ln - self.ln_alone[at]).filter(|g| *g > 0.0)
+            {
                 edges.push(Edge { who: view.who, dot: self.dots[at], gain });
             }
         }
