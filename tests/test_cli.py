@@ -9,7 +9,19 @@ import pytest
 
 import markerloom as ml
 
-VERBS = ["demo", "simulate", "reconstruct", "track", "evaluate", "inspect", "convert", "bench"]
+VERBS = [
+    "demo",
+    "simulate",
+    "reconstruct",
+    "track",
+    "evaluate",
+    "inspect",
+    "convert",
+    "bench",
+    "detect",
+    "sync",
+    "leds",
+]
 
 
 def run(*arguments: object, code: int = 0) -> str:
@@ -101,10 +113,11 @@ def test_the_demo_writes_its_files_the_same_every_time(tmp_path: Path) -> None:
     for name in ("a", "b"):
         text = run("demo", "-o", tmp_path / name, "--frames", "12")
         assert "report.html" in text
-    for file in ("points.c3d", "points.parquet", "report.html", "observations.parquet"):
+    files = ("points.c3d", "points.parquet", "report.html", "observations.parquet", "from_pixels/trajectories.c3d")
+    for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     page = (tmp_path / "a" / "report.html").read_text()
-    assert page.count("<svg") == 4
+    assert page.count("<svg") == 5
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
 

@@ -22,7 +22,7 @@ from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
 from markerloom.detect import Blobs, detect, detect_markers, grey_images, learn_mask, read_mask
-from markerloom.detect.render import save_videos
+from markerloom.detect.render import detected, save_videos
 from markerloom.evaluate import (
     Truth,
     evaluate,
@@ -84,6 +84,7 @@ __all__ = [
     "demo",
     "detect",
     "detect_markers",
+    "detected",
     "evaluate",
     "explain",
     "grey_images",

@@ -34,6 +34,7 @@ from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observ
 from markerloom.evaluate import evaluate as run_evaluate
 from markerloom.explain import TrackedTake
 from markerloom.formats import table_file
+from markerloom.from_pixels import rows as whole_way_rows
 from markerloom.inspect import inspect as run_inspect
 from markerloom.observations import Observations
 from markerloom.reconstruct import Progress
@@ -121,7 +122,7 @@ def demo(
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate a capture, reconstruct it with three methods, and write a report with pictures.
+    """Simulate a capture, reconstruct it with three methods, go the whole way from images, and write a page of it.
 
     Example: markerloom demo -o out/demo
     """
@@ -132,6 +133,9 @@ def demo(
         table.add_row(*row, f"{answer.report['timing']['ms_per_frame']['mean']:.2f} ms")
     if not quiet:
         out.print(table)
+        say(quiet, "The whole way, from filmed images:")
+    for name, text in whole_way_rows(made.whole_way):
+        say(quiet, f"  {name}: {text}")
     for name, path in made.files.items():
         say(quiet, f"{name:8} {path}")
     say(quiet, f"Open {made.files['page']} in a browser.")

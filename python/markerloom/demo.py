@@ -12,10 +12,13 @@ from scipy.spatial.distance import cdist
 from markerloom import html_report, pictures, report
 from markerloom.evaluate import Truth, evaluate, truth_from_assignments
 from markerloom.formats import write_points
+from markerloom.from_pixels import FromPixels, from_pixels, rows
 from markerloom.reconstruct import METHODS, Progress, Reconstruction, reconstruct
 from markerloom.simulate import SimulatedTake, make_scene, save, simulate
 
 TOLERANCE_MM = 20.0
+MOST_FILMED = 50
+"""Frames of the walk that are filmed at most."""
 NAMES = {"optimal": "optimal", "relaxation": "relaxation (2000)", "epipolar": "epipolar matches"}
 
 
@@ -27,10 +30,14 @@ class Demo:
     answers: dict[str, Reconstruction]
     scores: dict[str, dict[str, Any]]
     files: dict[str, Path]
+    whole_way: FromPixels
 
 
 def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Progress | None = None) -> Demo:
-    """Simulate a dancer, reconstruct with all three methods, evaluate, and write everything into a folder."""
+    """Simulate a dancer, reconstruct with all three methods, evaluate; then go the whole way from filmed images.
+
+    Everything is written into a folder.
+    """
     folder = Path(folder)
     take = simulate(make_scene("dance", frames=frames, seed=seed), progress=progress)
     save(take, folder)
@@ -51,8 +58,11 @@ def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Prog
     write_points(best, files["table"])
     inputs: list[str | Path] = [folder / "observations.parquet", folder / "calibration.toml"]
     report.save(report.of_run(inputs, {"method": "optimal"}, best.report), files["report"])
-    write_page(files["page"], take, truth, answers, scores)
-    return Demo(take, answers, scores, files)
+    filmed = min(max(frames // 4, 10), MOST_FILMED)
+    whole_way = from_pixels(folder / "from_pixels", frames=filmed, seed=seed, progress=progress)
+    files["trajectories"] = folder / "from_pixels" / "trajectories.c3d"
+    write_page(files["page"], take, truth, answers, scores, whole_way)
+    return Demo(take, answers, scores, files, whole_way)
 
 
 def summary(scores: dict[str, dict[str, Any]]) -> list[list[str]]:
@@ -80,6 +90,7 @@ def write_page(
     truth: Truth,
     answers: dict[str, Reconstruction],
     scores: dict[str, dict[str, Any]],
+    whole_way: FromPixels,
 ) -> None:
     """Write the page with pictures."""
     best = answers["optimal"]
@@ -95,6 +106,7 @@ def write_page(
             "The program sees only the dots and the calibration."
         ),
         html_report.section("Result", html_report.table(HEADER, summary(scores))),
+        html_report.section("The whole way, from pixels", *_whole_way(whole_way)),
         html_report.section(
             "Rig and points",
             html_report.figure(
@@ -118,6 +130,20 @@ def write_page(
             ),
         ),
     )
+
+
+def _whole_way(made: FromPixels) -> list[str]:
+    """Wave and walk were filmed, and nothing of the cameras was known."""
+    frame = int(made.take.frames[len(made.take.frames) // 2])
+    now = made.take.xyz_mm[made.take.frame == frame] / 1000.0
+    return [
+        html_report.table(["", ""], rows(made)),
+        html_report.figure(
+            pictures.rig_and_points(made.wave.rig, now, made.take.xyz_mm[::3] / 1000.0, f"frame {frame}"),
+            "A wand wave and a walk were rendered as images with blur, noise and merging. Their markers were found, the "
+            "cameras calibrated from the wave alone, and the walk tracked with them.",
+        ),
+    ]
 
 
 def three_methods(take: SimulatedTake, truth: Truth, answers: dict[str, Reconstruction], frame: int) -> str:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtr
 
 from markerloom.detect.images import Grey, write_video
+from markerloom.detect.markers import detect_markers
+from markerloom.detect.takes import FEWEST_FOR_BLUR
 from markerloom.errors import InputError
+from markerloom.observations import Observations
 from markerloom.simulate import SimulatedTake
 
 BLUR_PX = 0.6
@@ -48,6 +51,35 @@ def rendered(take: SimulatedTake, camera: str, *, marker_mm: float = 14.0, brigh
             _draw(share, pixel, 0.5 * marker_mm / 1000.0 * one.focal_px[0] / depth, level)
         noise = np.random.default_rng([take.scene.seed, index, frame]).normal(0.0, NOISE, share.shape)
         yield np.clip(np.round(DARK + bright * share + noise), 0, 255).astype(np.uint8)
+
+
+def detected(
+    take: SimulatedTake, *, marker_mm: float = 14.0, progress: Callable[[int, int], None] | None = None
+) -> Observations:
+    """The dots that detection finds in the images of a simulated take, without a file in between."""
+    rows: list[np.ndarray] = []
+    films = [rendered(take, camera, marker_mm=marker_mm) for camera in take.rig.ids]
+    blur_px: list[float | None] = [None] * len(films)
+    for frame, images in enumerate(zip(*films, strict=True)):
+        for camera, image in enumerate(images):
+            blobs = detect_markers(image, blur_px=blur_px[camera])
+            if blur_px[camera] is None and len(blobs) >= FEWEST_FOR_BLUR:
+                blur_px[camera] = blobs.blur_px
+            where = np.tile([frame, camera], (len(blobs), 1))
+            rows.append(np.column_stack([where, blobs.pixel, blobs.radius_px, blobs.sigma_px, blobs.quality]))
+        if progress:
+            progress(frame + 1, take.scene.frames)
+    table = np.concatenate(rows)
+    return Observations(
+        frame=table[:, 0].astype(np.int64),
+        camera=table[:, 1].astype(np.int64),
+        camera_ids=tuple(take.rig.ids),
+        pixel=table[:, 2:4].copy(),
+        optional={"radius": table[:, 4], "sigma": table[:, 5], "quality": table[:, 6]},
+        rate_hz=take.scene.rate_hz,
+        frames=np.arange(take.scene.frames),
+        source=f"filmed {take.scene.scene}",
+    )
 
 
 def save_videos(take: SimulatedTake, folder: str | Path, *, marker_mm: float = 14.0) -> dict[str, Path]:
