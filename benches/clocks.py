@@ -28,9 +28,10 @@ def synchronise(seeds: int) -> None:
             take = ml.simulate(made)
             clock = time.perf_counter()
             found = ml.sync(take.recordings(), take.rig).report["clocks"][1]
+            seconds = time.perf_counter() - clock
             print(
                 f"{scene:6s} {seed:4d} {found['offset_frames'] - OFFSET:+12.5f} {found['sigma_frames']:9.5f} "
-                f"{found['drift_ppm'] - DRIFT_PPM:+14.3f} {found['drift_sigma_ppm']:10.3f} {time.perf_counter() - clock:9.1f}"
+                f"{found['drift_ppm'] - DRIFT_PPM:+14.3f} {found['drift_sigma_ppm']:10.3f} {seconds:9.1f}"
             )
 
 

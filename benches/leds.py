@@ -46,13 +46,13 @@ def main(seeds: int, bit_errors: float) -> None:
             right = sum(int(i) in o for i, o in zip(identity, owner, strict=True) if i >= 0)
             sure, owned = int((identity >= 0).sum()), np.array([bool(o) for o in owner])
             truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
-            answers = [
-                ml.track(d, take.rig, causal=c) for d, c in ((take.observations, False), (told, False), (told, True))
-            ]
+            ways = ((take.observations, False), (told, False), (told, True))
+            answers = [ml.track(dots, take.rig, causal=causal) for dots, causal in ways]
             switches = [ml.evaluate(a, truth, tolerance_mm=25)["id_switches"] for a in answers]
             print(
                 f"{scene:6s} {seed:4d} {(identity[owned] >= 0).mean():18.1%} {right / sure:9.3%} {sure - right:8d} "
-                f"{seconds:10.1f} | {switches[0]:15d} {switches[1]:5d} {switches[2]:11d} | {named_right(answers[1], take):.3%}"
+                f"{seconds:10.1f} | {switches[0]:15d} {switches[1]:5d} {switches[2]:11d} | "
+                f"{named_right(answers[1], take):.3%}"
             )
 
 

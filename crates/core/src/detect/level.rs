@@ -14,7 +14,7 @@ pub struct Level {
 }
 
 /// Pixels that tell of the background.
-const LOOKED_AT: usize = 5_000;
+const LOOKED_AT: usize = 2_500;
 /// Noise of the rounding to whole values.
 const ROUNDING: f64 = 0.288_675;
 /// A pixel of background alone is brighter than so many standard deviations once in a million images.
@@ -24,14 +24,14 @@ impl Level {
     /// The median is the background, the spread below it the noise: markers are few, and bright.
     pub fn of<V: Value>(image: &Image<'_, V>, threshold: Option<f64>) -> Self {
         let step = (image.values.len() / LOOKED_AT).max(1) | 1; // odd, so that it meets all columns
-        let mut sample: Vec<f64> = image.values.iter().step_by(step).map(|v| (*v).into()).collect();
+        let mut sample: Vec<V> = image.values.iter().step_by(step).copied().collect();
         if sample.is_empty() {
             return Self { background: 0.0, noise: ROUNDING, threshold: threshold.unwrap_or(0.0) };
         }
         let middle = sample.len() / 2;
-        let background = *sample.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let background: f64 = (*sample.select_nth_unstable(middle).1).into();
         let (mut squares, mut count) = (0.0, 0.0);
-        for off in sample.iter().map(|v| background - v).filter(|off| *off >= 0.0) {
+        for off in sample.iter().map(|v| background - (*v).into()).filter(|off| *off >= 0.0) {
             squares += off * off;
             count += if off > 0.0 { 1.0 } else { 0.5 };
         }
