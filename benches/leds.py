@@ -40,7 +40,7 @@ def main(seeds: int, bit_errors: float) -> None:
             made = ml.make_scene(scene, frames=FRAMES, markers=40, leds=True, bit_errors=bit_errors, seed=seed)
             take = ml.simulate(made)
             clock = time.perf_counter()
-            told, _ = ml.decode_leds(take.observations)
+            told, _ = ml.leds(take.observations)
             seconds = time.perf_counter() - clock
             identity, owner = told.optional["id"], owners(take)
             right = sum(int(i) in o for i, o in zip(identity, owner, strict=True) if i >= 0)
@@ -57,7 +57,7 @@ def main(seeds: int, bit_errors: float) -> None:
 
 
 def named_right(points: ml.Points, take: ml.SimulatedTake) -> float:
-    """Share of the measured samples with a name that are nearest to the marker of that name, or to one as near (5 mm)."""
+    """Share of the measured samples with a name whose marker is the nearest, or within 5 mm of being it."""
     labels = list(dict.fromkeys(take.truth.label.tolist()))
     place = take.truth.xyz_mm.reshape(FRAMES, len(labels), 3)
     own = np.flatnonzero((points.label != "") & (points.kind == 0))

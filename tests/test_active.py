@@ -35,7 +35,7 @@ def blinking() -> ml.SimulatedTake:
 
 
 def test_what_is_told_is_right(blinking: ml.SimulatedTake) -> None:
-    told, report = ml.decode_leds(blinking.observations)
+    told, report = ml.leds(blinking.observations)
     truth = true_labels(blinking)
     identity = told.optional["id"]
     right = sum(int(i) in t for i, t in zip(identity, truth, strict=True) if i >= 0)
@@ -49,7 +49,7 @@ def test_more_wrong_bits_leave_more_undecided_and_nothing_wrong() -> None:
     shares = []
     for bit_errors in (0.0, 0.15):
         take = ml.simulate(ml.make_scene("walk", frames=200, leds=True, markers=40, bit_errors=bit_errors, cameras=4))
-        told = ml.decode_leds(take.observations)[0].optional["id"]
+        told = ml.leds(take.observations)[0].optional["id"]
         truth = true_labels(take)
         right = sum(int(i) in t for i, t in zip(told, truth, strict=True) if i >= 0)
         assert right >= 0.998 * max((told >= 0).sum(), 1)
@@ -58,7 +58,7 @@ def test_more_wrong_bits_leave_more_undecided_and_nothing_wrong() -> None:
 
 
 def test_the_tracker_never_swaps_what_tells_who_it_is(blinking: ml.SimulatedTake) -> None:
-    told, _ = ml.decode_leds(blinking.observations)
+    told, _ = ml.leds(blinking.observations)
     points = ml.track(told, blinking.rig)
     truth = ml.truth_from_assignments(blinking.truth, blinking.truth_assignments, blinking.rig)
     score = ml.evaluate(points, truth, tolerance_mm=25)
@@ -75,7 +75,7 @@ def test_the_tracker_never_swaps_what_tells_who_it_is(blinking: ml.SimulatedTake
 
 def test_identities_bring_back_markers_that_motion_cannot(blinking: ml.SimulatedTake) -> None:
     """All dots vanish for a second; every marker comes back as itself, because it says so."""
-    told, _ = ml.decode_leds(blinking.observations)
+    told, _ = ml.leds(blinking.observations)
     gap = (told.frame >= 150) & (told.frame < 250)
     points = ml.track(told._keep(~gap), blinking.rig)
     before = {
@@ -86,7 +86,7 @@ def test_identities_bring_back_markers_that_motion_cannot(blinking: ml.Simulated
 
 
 def test_a_wrong_identity_on_one_dot_swaps_nothing(blinking: ml.SimulatedTake) -> None:
-    told, _ = ml.decode_leds(blinking.observations)
+    told, _ = ml.leds(blinking.observations)
     identity = told.optional["id"].copy()
     random = np.random.default_rng(5)
     hit = random.uniform(size=len(identity)) < 0.01
@@ -97,7 +97,7 @@ def test_a_wrong_identity_on_one_dot_swaps_nothing(blinking: ml.SimulatedTake) -
 
 
 def test_identities_can_be_pushed_live(blinking: ml.SimulatedTake) -> None:
-    told, _ = ml.decode_leds(blinking.observations)
+    told, _ = ml.leds(blinking.observations)
     tracker = ml.Tracker(blinking.rig, rate_hz=100.0)
     last = None
     for frame in range(30):
@@ -114,13 +114,13 @@ def test_identities_can_be_pushed_live(blinking: ml.SimulatedTake) -> None:
 
 def test_what_cannot_be_decoded_is_told(take: ml.SimulatedTake) -> None:
     with pytest.raises(InputError, match="no brightness"):
-        ml.decode_leds(take.observations)
+        ml.leds(take.observations)
     steady = replace(take.observations, optional={"brightness": np.full(len(take.observations), 100.0)})
-    told, report = ml.decode_leds(steady)
+    told, report = ml.leds(steady)
     assert (told.optional["id"] == -1).all()
     assert report["warnings"]
     with pytest.raises(InputError, match="lasts 0 frames"):
-        ml.decode_leds(steady, frames_per_bit=0)
+        ml.leds(steady, frames_per_bit=0)
 
 
 def test_the_command_line(blinking: ml.SimulatedTake, tmp_path) -> None:
@@ -129,6 +129,4 @@ def test_the_command_line(blinking: ml.SimulatedTake, tmp_path) -> None:
     done = CliRunner().invoke(app, ["leds", str(tmp_path / "observations.parquet"), "-o", str(out)])
     assert done.exit_code == 0, done.output
     assert "identities" in done.output
-    assert np.array_equal(
-        ml.read_observations(out).optional["id"], ml.decode_leds(blinking.observations)[0].optional["id"]
-    )
+    assert np.array_equal(ml.read_observations(out).optional["id"], ml.leds(blinking.observations)[0].optional["id"])

@@ -21,7 +21,7 @@ def led_codes() -> NDArray[np.bool_]:
     return np.array(_core.led_codes(), bool)
 
 
-def decode_leds(observations: Observations, *, frames_per_bit: int = 1) -> tuple[Observations, dict[str, Any]]:
+def leds(observations: Observations, *, frames_per_bit: int = 1) -> tuple[Observations, dict[str, Any]]:
     """Give each dot the identity that its brightness tells over time: the column ``id``, −1 where none is sure.
 
     Every camera is decoded for itself, from the column ``brightness`` (any unit). LEDs change at most once a frame, in

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from markerloom import formats
-from markerloom.active import decode_leds, led_codes
+from markerloom.active import led_codes, leds
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
 from markerloom.calibrate.board_rig import calibrate_board
@@ -22,6 +22,7 @@ from markerloom.convert import convert
 from markerloom.coverage import Coverage, coverage, save_coverage
 from markerloom.demo import Demo, demo
 from markerloom.detect import Blobs, detect, detect_markers, grey_images, learn_mask, read_mask
+from markerloom.detect.grey_blobs import GreyBlob, detect_x2d, fit_grey_blobs, read_grey_blobs
 from markerloom.detect.render import detected, save_videos
 from markerloom.evaluate import (
     Truth,
@@ -55,6 +56,7 @@ __all__ = [
     "Coverage",
     "Demo",
     "Explanation",
+    "GreyBlob",
     "Lens",
     "Mask",
     "Observations",
@@ -80,24 +82,27 @@ __all__ = [
     "check_rig",
     "convert",
     "coverage",
-    "decode_leds",
     "demo",
     "detect",
     "detect_markers",
+    "detect_x2d",
     "detected",
     "evaluate",
     "explain",
+    "fit_grey_blobs",
     "grey_images",
     "inspect",
     "knock",
     "learn_mask",
     "led_codes",
+    "leds",
     "make_scene",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",
     "read_board",
     "read_calibration",
+    "read_grey_blobs",
     "read_mask",
     "read_observations",
     "read_points",

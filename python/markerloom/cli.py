@@ -16,7 +16,7 @@ from rich.table import Table
 
 from markerloom import formats
 from markerloom import report as reports
-from markerloom.active import decode_leds
+from markerloom.active import leds as run_leds
 from markerloom.bench import HEADER as BENCH_HEADER
 from markerloom.bench import choose, measure
 from markerloom.bench import line as bench_line
@@ -394,7 +394,7 @@ def leds(
     """
     if formats.ending(output) not in formats.TABLE_ENDINGS:
         raise typer.BadParameter(f"{output}: observations are written as {', '.join(formats.TABLE_ENDINGS)}")
-    told, result = decode_leds(formats.read_observations(observations), frames_per_bit=frames_per_bit)
+    told, result = run_leds(formats.read_observations(observations), frames_per_bit=frames_per_bit)
     formats.write_observations(told, output)
     warn(quiet, result["warnings"])
     dots = sum(own["told"] for own in result["cameras"].values())

@@ -35,6 +35,19 @@ pub struct X2d {
     pub centroids: Vec<Centroid>,
     /// Number of grey blobs (dots the camera could not fit).
     pub grey_blobs: usize,
+    /// Those of them whose pixels could be read.
+    pub patches: Vec<Patch>,
+}
+
+/// The bright pixels of a dot that the camera could not fit: half hidden, or several that have run together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Patch {
+    /// Frame, counted from 0.
+    pub frame: u32,
+    /// Device id of the camera.
+    pub camera: u32,
+    /// Column, row and value of each pixel.
+    pub pixels: Vec<(u16, u16, u8)>,
 }
 
 const TAG_FRAMES: u16 = 0x00fc;
@@ -173,7 +186,11 @@ fn read_frame(bytes: &Bytes, at: usize, header: &Header, file: &mut X2d) -> Resu
             bytes.slice(body, length, "a block")?;
             match tag {
                 CENTROIDS => read_centroids(bytes, body, length, count, camera, header, file)?,
-                GREY_BLOBS => file.grey_blobs += count,
+                GREY_BLOBS => {
+                    file.grey_blobs += count;
+                    let block = bytes.slice(body, length, "a block of grey blobs")?;
+                    file.patches.extend(read_patches(block, count, file.frames, camera));
+                }
                 _ => {}
             }
             at = body + length;
@@ -207,6 +224,27 @@ fn read_centroids(
         });
     }
     Ok(())
+}
+
+/// Grey blobs of a block: length, number of lines, lines of x, y, n and n values, four zeros. What does not fit that ends it.
+fn read_patches(block: &[u8], count: usize, frame: u32, camera: u32) -> Vec<Patch> {
+    let u16_at = |at: usize| block.get(at..at + 2).map(|b| u16::from_le_bytes([b[0], b[1]]));
+    let mut found = Vec::new();
+    let mut at = 0;
+    for _ in 0..count {
+        let Some(lines) = u16_at(at + 4) else { break };
+        at += 6;
+        let mut pixels = Vec::new();
+        for _ in 0..lines {
+            let (Some(x), Some(y), Some(n)) = (u16_at(at), u16_at(at + 2), u16_at(at + 4)) else { return found };
+            let Some(values) = block.get(at + 6..at + 6 + usize::from(n)) else { return found };
+            pixels.extend(values.iter().enumerate().map(|(k, value)| (x.saturating_add(k as u16), y, *value)));
+            at += 6 + usize::from(n);
+        }
+        at += 4;
+        found.push(Patch { frame, camera, pixels });
+    }
+    found
 }
 
 #[cfg(test)]
@@ -287,6 +325,22 @@ mod tests {
         assert_eq!((file.frames, file.cameras.as_slice()), (1, [77].as_slice()));
         let expected = Centroid { frame: 0, camera: 77, x: 10.5, y: 7.0, radius: 3.0, quality: 0.5 };
         assert_eq!(file.centroids, [expected]);
+    }
+
+    #[test]
+    fn grey_blobs_are_lines_of_pixels() {
+        let mut block = 21_i32.to_le_bytes().to_vec();
+        block.extend(2_u16.to_le_bytes());
+        for (x, y, values) in [(10_u16, 20_u16, &[60_u8, 70][..]), (9, 21, &[80][..])] {
+            block.extend(x.to_le_bytes());
+            block.extend(y.to_le_bytes());
+            block.extend((values.len() as u16).to_le_bytes());
+            block.extend(values);
+        }
+        block.extend([0; 4]);
+        let found = read_patches(&block, 1, 3, 77);
+        assert_eq!(found, [Patch { frame: 3, camera: 77, pixels: vec![(10, 20, 60), (11, 20, 70), (9, 21, 80)] }]);
+        assert!(read_patches(&block[..12], 1, 3, 77).is_empty());
     }
 
     proptest! {

@@ -1,11 +1,13 @@
 //! Detection for Python.
 
 use crate::errors::InputError;
+use markerloom_core::detect::partial::{Patch, Sensor, fit};
 use markerloom_core::detect::{Blob, Detected, Fit, Image, Options, Value, detect};
 use numpy::ndarray::ArrayView2;
 use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use rayon::prelude::*;
 
 /// A grey image of 8 or 16 bit, rows one after the other.
 #[derive(FromPyObject)]
@@ -52,6 +54,24 @@ pub fn detect_markers<'py>(
     let found =
         found.ok_or_else(|| InputError::new_err("an image without pixels, or not in rows one after the other"))?;
     arrays(py, &found)
+}
+
+/// Centres of markers of which only some pixels (column, row, value) are known, half hidden ones too: x, y, sigma (px) and the
+/// part seen; NaN where there are too few.
+#[pyfunction]
+pub fn fit_patches(
+    py: Python<'_>,
+    patches: Vec<Vec<(u16, u16, u8)>>,
+    threshold: f64,
+    radius_px: f64,
+    blur_px: f64,
+) -> Vec<[f64; 4]> {
+    let sensor = Sensor { threshold, radius_px, blur_px };
+    let one = |pixels: Vec<(u16, u16, u8)>| {
+        let found = fit(&Patch { pixels }, &sensor);
+        found.map_or([f64::NAN; 4], |c| [c.center.x, c.center.y, c.sigma_px, c.seen])
+    };
+    py.detach(|| patches.into_par_iter().map(one).collect())
 }
 
 fn arrays<'py>(py: Python<'py>, found: &Detected) -> PyResult<Bound<'py, PyDict>> {

@@ -32,6 +32,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
+    module.add_function(wrap_pyfunction!(detect::fit_patches, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_points, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::adjust_board, module)?)?;

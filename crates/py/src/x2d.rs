@@ -15,6 +15,8 @@ pub fn read_x2d<'py>(py: Python<'py>, bytes: &[u8]) -> PyResult<Bound<'py, PyDic
     out.set_item("frames", file.frames)?;
     out.set_item("cameras", file.cameras.clone())?;
     out.set_item("grey_blobs", file.grey_blobs)?;
+    let patches: Vec<_> = file.patches.iter().map(|p| (p.frame, p.camera, p.pixels.clone())).collect();
+    out.set_item("patches", patches)?;
     out.set_item("frame", file.centroids.iter().map(|c| i64::from(c.frame)).collect::<Vec<_>>().into_pyarray(py))?;
     out.set_item("camera", file.centroids.iter().map(|c| i64::from(c.camera)).collect::<Vec<_>>().into_pyarray(py))?;
     out.set_item("x", column(|c| c.x))?;

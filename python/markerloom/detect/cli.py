@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from markerloom import formats
 from markerloom import report as reports
-from markerloom.active import decode_leds
+from markerloom.active import leds as decode_leds
+from markerloom.detect.grey_blobs import detect_x2d
 from markerloom.detect.images import grey_images, sources_by_camera, write_png
 from markerloom.detect.takes import detect as run_detect
 from markerloom.detect.takes import learn_mask as run_learn_mask
@@ -19,7 +20,7 @@ from markerloom.detect.takes import read_mask
 
 def detect(
     sources: Annotated[
-        list[Path], typer.Argument(help="One for each camera: a video, an image, or a folder of images.")
+        list[Path], typer.Argument(help="One for each camera: a video, an image, or a folder of images; or a .x2d.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help=".parquet, .csv or .csv.gz")],
     names: Annotated[str | None, typer.Option(help="Camera ids, with commas between; else the files' names.")] = None,
@@ -50,6 +51,9 @@ def detect(
     options = {k: v for k, v in locals().items() if k not in ("quiet", "report")}
     if formats.ending(output) not in formats.TABLE_ENDINGS:
         raise typer.BadParameter(f"{output}: observations are written as {', '.join(formats.TABLE_ENDINGS)}")
+    if any(formats.ending(s) == ".x2d" for s in sources):
+        _of_x2d(sources, output, options, report, quiet)
+        return
     cameras = sources_by_camera(sources, names)
     masks = {}
     for camera in cameras:
@@ -81,6 +85,20 @@ def detect(
         for text in result["warnings"]:
             typer.echo(f"warning: {text}", err=True)
         typer.echo(f"{result['dots']} dots in {result['frames']} images of {len(cameras)} cameras → {output}")
+
+
+def _of_x2d(sources: list[Path], output: Path, options: dict[str, Any], report: Path | None, quiet: bool) -> None:
+    if len(sources) > 1:
+        raise typer.BadParameter("a .x2d holds all cameras: one at a time")
+    found, result = detect_x2d(sources[0])
+    formats.write_observations(found, output)
+    if report is not None:
+        reports.save(reports.of_run([sources[0]], options, result), report)
+    if not quiet:
+        typer.echo(
+            f"{result['dots']} dots in {result['frames']} frames, from {result['grey_blobs_fitted']} of "
+            f"{result['grey_blobs']} grey blobs too → {output}"
+        )
 
 
 def _own(path: Path, camera: str) -> Path:

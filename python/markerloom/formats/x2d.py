@@ -20,7 +20,7 @@ def read(path: str | Path) -> Observations:
         raise FormatError(path, str(error)) from None
     camera, ids = concatenate_ids(content["camera"].tolist())
     blobs = content["grey_blobs"]
-    note = f"{blobs} grey blobs without a fitted centroid are not used"
+    note = f"{blobs} grey blobs without a fitted centroid are not used (markerloom detect fits them)"
     return Observations(
         frame=content["frame"],
         camera=camera,

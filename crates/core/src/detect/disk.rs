@@ -102,6 +102,12 @@ fn across_edge(table: &[(f32, f32)], u: f32) -> (f32, f32) {
     }
 }
 
+/// Φ(u) and its derivative, zero or one far from the edge.
+pub(super) fn across_edge_f64(u: f64) -> (f64, f64) {
+    let (share, slope) = across_edge(&TABLE, u as f32);
+    (f64::from(share), f64::from(slope))
+}
+
 /// Φ by the error function of Abramowitz & Stegun 7.1.26, good to 1.5e-7.
 fn normal_distribution(u: f64) -> f64 {
     let z = u.abs() / std::f64::consts::SQRT_2;
@@ -148,8 +154,7 @@ fn solve<V: Value, const N: usize>(
                 let distance = (run * run + rise * rise).sqrt();
                 let u = (radius - distance) * inverse_width;
                 let (share, slope) = across_edge(table, u);
-                let value: f64 = (*value).into();
-                let residual = value as f32 - background - height * share;
+                let residual = value.grey() - background - height * share;
                 squares += residual * residual;
                 count += 1;
                 if slope == 0.0 {
@@ -161,15 +166,16 @@ fn solve<V: Value, const N: usize>(
                 let steep = height * slope * inverse_width;
                 let outwards = steep / distance.max(1e-6);
                 let by: [f32; 5] = [outwards * run, outwards * rise, steep, share, -steep * u];
+                // Both halves of the symmetric products: whole rows go through one register.
                 for j in 0..N {
                     gradient[j] += by[j] * residual;
-                    for i in j..N {
+                    for i in 0..N {
                         products[j][i] += by[i] * by[j];
                     }
                 }
             }
         }
-        let normal = SMatrix::<f64, N, N>::from_fn(|i, j| f64::from(products[j.min(i)][i.max(j)]));
+        let normal = SMatrix::<f64, N, N>::from_fn(|i, j| f64::from(products[i][j]));
         let gradient = SVector::<f64, N>::from(gradient.map(f64::from));
         let step = normal.cholesky()?.solve(&gradient);
         disk.center += Vector2::new(step[0], step[1]);

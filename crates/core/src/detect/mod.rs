@@ -8,6 +8,7 @@
 pub mod arcs;
 pub mod disk;
 pub mod level;
+pub mod partial;
 pub mod runs;
 
 use disk::{Disk, Edge};
@@ -20,6 +21,8 @@ pub trait Value: Copy + Ord + Into<f64> {
     const WHITE: Self;
     /// The largest value that is not above a threshold.
     fn at_most(threshold: f64) -> Self;
+    /// In single precision.
+    fn grey(self) -> f32;
 }
 
 impl Value for u8 {
@@ -27,12 +30,18 @@ impl Value for u8 {
     fn at_most(threshold: f64) -> Self {
         threshold.clamp(0.0, 255.0) as Self
     }
+    fn grey(self) -> f32 {
+        f32::from(self)
+    }
 }
 
 impl Value for u16 {
     const WHITE: Self = Self::MAX;
     fn at_most(threshold: f64) -> Self {
         threshold.clamp(0.0, 65535.0) as Self
+    }
+    fn grey(self) -> f32 {
+        f32::from(self)
     }
 }
 

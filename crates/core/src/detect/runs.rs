@@ -39,8 +39,8 @@ impl Component {
 
 /// Pixels looked at together: dark rows are passed over as a whole; in others, so many at a time; near bright ones, fewer.
 const CHUNK: usize = 128;
-const PART: usize = 32;
-const LANES: usize = 32;
+const PART: usize = 16;
+const LANES: usize = 16;
 
 /// All components of pixels above `limit`, in ascending order of their first row, then column.
 pub fn components<V: Value>(image: &Image<'_, V>, limit: V) -> Vec<Component> {

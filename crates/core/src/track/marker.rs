@@ -60,8 +60,6 @@ pub struct Marker {
     pub located: Option<Located>,
     /// The identity that it told, if it is an active marker.
     pub hardware: Option<u32>,
-    /// Whether it is an active marker hidden for so long that only its identity brings it back.
-    pub must_tell: bool,
     acceleration: f64,
     /// Time of the last frame in which it was measured (s), and whether that was the last frame.
     seen_s: f64,
@@ -102,7 +100,6 @@ impl Marker {
                 motion,
             },
             hardware: None,
-            must_tell: false,
             acceleration: FIRST_ACCELERATION,
             seen_s: time_s,
             live: true,
@@ -148,7 +145,6 @@ impl Marker {
 
     /// Time update.
     pub fn predict(&mut self, step: &Step, time_s: f64) {
-        self.must_tell = self.hardware.is_some() && time_s - self.seen_s > SILENT_S;
         self.filter.predict(step, self.acceleration);
         let push = (PUSH * self.acceleration).clamp(LEAST_PUSH, LARGEST_PUSH);
         self.prior = Prior {
@@ -157,7 +153,7 @@ impl Marker {
             push: push * push * step.jump_variance(),
             hidden: !self.live,
             hardware: self.hardware,
-            must_tell: self.must_tell,
+            must_tell: self.hardware.is_some() && time_s - self.seen_s > SILENT_S,
             motion: self.filter.motion(),
         };
         self.located = None;
@@ -181,7 +177,7 @@ impl Marker {
             push: carried.covariance.trace(),
             hidden: true,
             hardware: self.hardware,
-            must_tell: self.must_tell,
+            must_tell: self.prior.must_tell,
             motion: self.filter.motion(),
         };
     }

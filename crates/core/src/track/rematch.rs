@@ -40,7 +40,7 @@ pub fn rematch(
         if let (Some(told), Some(own)) = (told[g], marker.hardware) {
             return (told == own).then_some(-CERTAIN);
         }
-        if marker.must_tell {
+        if marker.prior.must_tell {
             return None;
         }
         let cost = place_cost(marker, &groups[g])? + link_cost(marker, &groups[g].point, links, |slot| now[slot]);
