@@ -4,16 +4,12 @@
 //! from where pairwise poses have put them.
 
 use super::bundle::camera::{Freedom, POSITION, ROTATION, free};
-use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
+use super::bundle::robust::adjust_robustly;
 use super::bundle::{Bundle, Pose, Sighting};
 use super::pose::fit;
 use super::wand::Wand;
 use crate::camera::Camera;
 use nalgebra::Vector3;
-
-const SOFT_ROUNDS: usize = 3;
-const HARD_ROUNDS: usize = 3;
-const STEPS: usize = 10;
 
 /// Cameras and board poses adjusted together, and the noise of each camera (px). `None` for a board without extent.
 ///
@@ -32,16 +28,6 @@ pub fn adjust(
     let poses = poses.iter().map(in_wand).collect::<Option<Vec<Pose>>>()?;
     let freedom: Vec<Freedom> = vec![free(&[ROTATION, POSITION]); cameras.len()];
     let mut bundle = Bundle { cameras: cameras.to_vec(), freedom, wand, poses, poses_held: false, sightings };
-    for _ in 0..SOFT_ROUNDS {
-        let noise = noise_px(&bundle, |_| true);
-        weigh_softly(&mut bundle, &noise);
-        bundle.adjust(STEPS);
-    }
-    let mut noise = noise_px(&bundle, |_| true);
-    for _ in 0..HARD_ROUNDS {
-        weigh_hard(&mut bundle, &noise);
-        bundle.adjust(STEPS);
-        noise = noise_of_used_px(&bundle);
-    }
+    let noise = adjust_robustly(&mut bundle);
     Some((bundle, noise))
 }

@@ -4,16 +4,12 @@
 //! onto the given camera centres by a similarity (Umeyama 1991), so that origin, axes and scale stay.
 
 use super::bundle::camera::{POSITION, ROTATION, free};
-use super::bundle::robust::{noise_of_used_px, noise_px, weigh_hard, weigh_softly};
+use super::bundle::robust::adjust_robustly;
 use super::bundle::{Bundle, Pose, Sighting};
 use super::pose::fit;
 use super::wand::{Span, Wand};
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Vector3};
-
-const SOFT_ROUNDS: usize = 4;
-const HARD_ROUNDS: usize = 2;
-const STEPS: usize = 8;
 
 /// The cameras adjusted, and the noise of each (px). `None` for fewer than three cameras or nothing seen.
 ///
@@ -27,17 +23,7 @@ pub fn refine(
     let poses = places.iter().map(|p| Pose { rotation: Matrix3::identity(), position_m: *p }).collect();
     let freedom = vec![free(&[ROTATION, POSITION]); cameras.len()];
     let mut bundle = Bundle { cameras: cameras.to_vec(), freedom, wand, poses, poses_held: false, sightings };
-    for _ in 0..SOFT_ROUNDS {
-        let noise = noise_px(&bundle, |_| true);
-        weigh_softly(&mut bundle, &noise);
-        bundle.adjust(STEPS);
-    }
-    let mut noise = noise_px(&bundle, |_| true);
-    for _ in 0..HARD_ROUNDS {
-        weigh_hard(&mut bundle, &noise);
-        bundle.adjust(STEPS);
-        noise = noise_of_used_px(&bundle);
-    }
+    let noise = adjust_robustly(&mut bundle);
     Some((laid_onto(cameras, &bundle.cameras)?, noise))
 }
 

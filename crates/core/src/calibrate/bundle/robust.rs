@@ -46,6 +46,26 @@ pub fn noise_of_used_px(bundle: &Bundle) -> Vec<f64> {
     sums.iter().zip(typical).map(|(own, typical)| rms(own).max(typical)).collect()
 }
 
+const SOFT_ROUNDS: usize = 4;
+const HARD_ROUNDS: usize = 2;
+const STEPS: usize = 8;
+
+/// Adjusts with soft weights first, then without what lies too far off; the noise of each camera (px per axis).
+pub fn adjust_robustly(bundle: &mut Bundle) -> Vec<f64> {
+    for _ in 0..SOFT_ROUNDS {
+        let noise = noise_px(bundle, |_| true);
+        weigh_softly(bundle, &noise);
+        bundle.adjust(STEPS);
+    }
+    let mut noise = noise_px(bundle, |_| true);
+    for _ in 0..HARD_ROUNDS {
+        weigh_hard(bundle, &noise);
+        bundle.adjust(STEPS);
+        noise = noise_of_used_px(bundle);
+    }
+    noise
+}
+
 /// The middle value; 0 for none.
 pub fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
