@@ -6,11 +6,12 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from typer.testing import CliRunner
 
 import markerloom as ml
 from markerloom.cli import app
-from markerloom.detect.images import write_png
+from markerloom.detect.images import write_png, write_video
 
 WIDTH, HEIGHT = 160, 120
 
@@ -179,3 +180,30 @@ def test_on_the_command_line(tmp_path: Path) -> None:
     twice = CliRunner().invoke(app, ["detect", sources[0], sources[0], "-o", str(out)])
     assert isinstance(twice.exception, ml.InputError)
     assert CliRunner().invoke(app, ["detect", sources[0], "-o", "dots.xyz"]).exit_code == 2
+
+
+def test_uneven_light_is_taken_off_tile_by_tile() -> None:
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[0:256, 0:320]
+    light = 20.0 + 0.35 * x + 0.1 * y  # up to 157: brighter than a marker is elsewhere
+    places = [(40.3, 50.2), (160.7, 128.4), (290.1, 210.6)]
+    for cx, cy in places:
+        light = light + 70.0 * ndtr((3.0 - np.hypot(x - cx, y - cy)) / 0.7)
+    image = np.clip(np.round(light + random.normal(0.0, 1.5, light.shape)), 0, 255).astype(np.uint8)
+    assert len(ml.detect_markers(image)) != 3
+    found = ml.detect_markers(image, adaptive=True)
+    assert len(found) == 3
+    for place in places:
+        assert np.linalg.norm(found.pixel - place, axis=1).min() < 0.1
+
+
+def test_a_videos_time_code_goes_into_the_dots(tmp_path: Path) -> None:
+    image = np.full((64, 64), 16, np.uint8)
+    image[30:34, 30:34] = 200
+    for camera, code in (("a", "10:00:00:12"), ("b", "10:00:01:00")):
+        write_video([image] * 4, tmp_path / f"{camera}.mkv", rate_hz=25.0, timecode=code)
+    dots, _ = ml.detect({c: tmp_path / f"{c}.mkv" for c in "ab"})
+    starts = [dots.optional["timecode_s"][(dots.camera == i) & (dots.frame == 0)][0] for i in (0, 1)]
+    assert np.allclose(starts, [36000.48, 36001.0])
+    clocks = ml.sync([dots], by="timecode").report["clocks"]
+    assert np.isclose(clocks[1]["offset_frames"], 13.0)

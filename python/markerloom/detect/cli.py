@@ -40,6 +40,9 @@ def detect(
     ] = None,
     leds: Annotated[bool, typer.Option("--leds", help="Markers are LEDs: decode who they are (column id).")] = False,
     frames_per_bit: Annotated[int, typer.Option(help="Frames that a bit of an LED's code lasts.", min=1)] = 1,
+    adaptive: Annotated[
+        bool, typer.Option("--adaptive", help="Take the background from each image, tile by tile: uneven light.")
+    ] = False,
     threads: Annotated[int, typer.Option(help="0 = all cores; the result is the same.", min=0)] = 0,
     report: Annotated[Path | None, typer.Option("--report", help="Write a report as JSON.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
@@ -73,6 +76,7 @@ def detect(
         radius_px=radius_px,
         masks=masks,
         backgrounds=backgrounds,
+        adaptive=adaptive,
         threads=threads,
     )
     if leds:

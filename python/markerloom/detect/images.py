@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from markerloom.errors import FormatError, InputError
+from markerloom.formats import timecode
 from markerloom.rig import natural_key
 
 Grey = NDArray[np.unsignedinteger[Any]]
@@ -59,6 +60,24 @@ def rate_hz(source: str | Path) -> float | None:
         return float(rate) if rate else None
 
 
+def start_s(source: str | Path) -> float | None:
+    """Time (s since midnight) at which a video begins by its SMPTE time code; ``None`` where it states none."""
+    path = Path(source)
+    if path.is_dir() or path.suffix.lower() in IMAGES:
+        return None
+    with _av().open(str(path)) as container:
+        stated = [container.metadata, *(s.metadata for s in container.streams)]
+        rate = container.streams.video[0].average_rate
+    for metadata in stated:
+        for key, code in metadata.items():
+            if key.lower() == "timecode":
+                try:
+                    return float(timecode.seconds([code], rate=float(rate) if rate else None)[0])
+                except InputError:
+                    return None
+    return None
+
+
 def write_png(image: Grey, path: str | Path) -> None:
     """Write an 8-bit grey image."""
     av = _av()
@@ -70,10 +89,12 @@ def write_png(image: Grey, path: str | Path) -> None:
     Path(path).write_bytes(b"".join(bytes(p) for p in [*packets, *codec.encode(None)]))
 
 
-def write_video(images: Iterable[Grey], path: str | Path, *, rate_hz: float) -> None:
-    """Write 8-bit grey images as a lossless video (FFV1)."""
+def write_video(images: Iterable[Grey], path: str | Path, *, rate_hz: float, timecode: str | None = None) -> None:
+    """Write 8-bit grey images as a lossless video (FFV1), with the time code of its first image where one is given."""
     av = _av()
     with av.open(str(path), "w") as container:
+        if timecode is not None:
+            container.metadata["timecode"] = timecode
         stream = None
         for image in images:
             if stream is None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from markerloom import _core
 from markerloom.errors import InputError
@@ -16,6 +17,30 @@ Flags = NDArray[np.bool_]
 
 LEAST_PIXELS = 2
 MOST_BLOBS = 10_000
+
+
+TILE_PX = 32
+"""Side of the tiles in which an image's own background is looked for: several markers wide."""
+SAMPLES = 8
+"""Pixels of a tile that are looked at, along each side."""
+
+
+def local_background(image: NDArray[np.unsignedinteger[Any]]) -> NDArray[np.unsignedinteger[Any]]:
+    """The background of an image that is lit unevenly: medians of tiles, interpolated between their middles.
+
+    Markers must cover less than half of a tile.
+    """
+    lines, middles = [], []
+    for length in image.shape:
+        tiles = max(length // TILE_PX, 1)
+        side = length / tiles
+        lines.append(((np.arange(tiles)[:, None] + (np.arange(SAMPLES) + 0.5) / SAMPLES) * side).astype(int))
+        middles.append(np.interp(np.arange(length), (np.arange(tiles) + 0.5) * side - 0.5, np.arange(tiles)))
+    sampled = image[np.ix_(lines[0].ravel(), lines[1].ravel())]
+    tiles = sampled.reshape(len(lines[0]), SAMPLES, len(lines[1]), SAMPLES)
+    medians = np.median(tiles, axis=(1, 3))
+    smooth = map_coordinates(medians, np.meshgrid(*middles, indexing="ij"), order=1, mode="nearest")
+    return np.round(smooth).astype(image.dtype)
 
 
 @dataclass(frozen=True)
@@ -71,6 +96,7 @@ def detect_markers(
     blur_px: float | None = None,
     mask: Flags | None = None,
     background: NDArray[np.unsignedinteger[Any]] | None = None,
+    adaptive: bool = False,
     least_pixels: int = LEAST_PIXELS,
     most_blobs: int = MOST_BLOBS,
 ) -> Blobs:
@@ -82,7 +108,8 @@ def detect_markers(
     which the sensor saturates (4095 for 12 bits in 16). ``radius_px``: of a marker's image where it is known, otherwise
     the median of the image's. ``blur_px``: standard deviation of the edges' blur, the same for all images of a camera;
     otherwise it is fitted to some markers of the image. ``mask`` (height, width): pixels that are ignored.
-    ``background``: an image without markers, of the same size, that is subtracted.
+    ``background``: an image without markers, of the same size, that is subtracted. ``adaptive``: the background is
+    taken from the image itself, tile by tile, for walls that are lit unevenly.
 
     Raises ``InputError`` for an image that is none of this.
     """
@@ -94,6 +121,8 @@ def detect_markers(
     for name, other in (("mask", mask), ("background", background)):
         if other is not None and other.shape != grey.shape:
             raise InputError(f"the {name} has the size {other.shape[::-1]}, the image {grey.shape[::-1]}")
+    if adaptive:
+        background = local_background(grey)
     if background is not None:
         # Its median stays, so that the noise below it stays too.
         flat = grey.astype(np.int64) - background + int(np.median(background))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from markerloom.detect.images import Grey, grey_images, rate_hz
+from markerloom.detect.images import Grey, grey_images, rate_hz, start_s
 from markerloom.detect.markers import Blobs, detect_markers
 from markerloom.errors import FormatError, InputError
 from markerloom.observations import Observations
@@ -39,19 +39,21 @@ def detect(
     radius_px: float | None = None,
     masks: Mapping[str, Flags] | None = None,
     backgrounds: Mapping[str, Grey] | None = None,
+    adaptive: bool = False,
     threads: int = 0,
 ) -> tuple[Observations, dict[str, Any]]:
     """Find the markers in recordings: for each camera id a video, an image, or a folder of images (frame by frame).
 
     Options as in ``detect_markers``; ``masks`` and ``backgrounds`` by camera. ``threads``: 0 = all cores; the result is
-    the same for any number. The observations have ``radius``, ``sigma`` (px), ``brightness`` and ``quality`` (see
-    ``Blobs``). The report has, by camera, ``frames``, ``dots``, ``dots_per_frame``, and counts of what was hidden,
-    merged, clipped, saturated; ``warnings`` name images without markers, of another size, or that cannot be read: what
-    came before them is kept.
+    the same for any number.
+    The observations have ``radius``, ``sigma`` (px), ``brightness`` and ``quality`` (see ``Blobs``), and ``timecode_s``
+    where every video states a time code. The report has, by camera, ``frames``, ``dots``, ``dots_per_frame``, and
+    counts of what was hidden, merged, clipped, saturated; ``warnings`` name images without markers, of another size, or
+    that cannot be read: what came before them is kept.
     """
     if not sources:
         raise InputError("no image or video was given")
-    rows, report, warnings, rates = [], {}, [], []
+    rows, report, warnings, rates, starts = [], {}, [], [], []
     workers = threads or os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
         for index, (camera, source) in enumerate(sources.items()):
@@ -65,6 +67,7 @@ def detect(
                 radius_px=radius_px,
                 mask=mask,
                 background=background,
+                adaptive=adaptive,
             )
             counts = _Counts()
             images = _of_one_size(camera, source, warnings)
@@ -76,6 +79,7 @@ def detect(
             report[camera] = counts.report()
             warnings += counts.warnings(camera)
             rates.append(rate_hz(source) if counts.frames else None)
+            starts.append(start_s(source) if counts.frames else None)
     frames = max((own["frames"] for own in report.values()), default=0)
     if frames == 0:
         raise InputError("; ".join(warnings) or "there is no image in the sources")
@@ -86,12 +90,16 @@ def detect(
         np.concatenate(column) for column in zip(*rows, strict=True)
     )
     known = {r for r in rates if r is not None}
+    optional = {"radius": radius, "brightness": brightness, "sigma": sigma, "quality": quality}
+    if all(s is not None for s in starts) and all(r is not None for r in rates):
+        began, rate = np.array(starts, float), np.array(rates, float)
+        optional = {"timecode_s": began[camera.astype(int)] + frame / rate[camera.astype(int)], **optional}
     found = Observations(
         frame.astype(np.int64),
         camera.astype(np.int64),
         tuple(sources),
         pixel,
-        optional={"radius": radius, "brightness": brightness, "sigma": sigma, "quality": quality},
+        optional=optional,
         rate_hz=known.pop() if len(known) == 1 else None,
         frames=np.arange(frames),
         source=", ".join(str(s) for s in sources.values()),
