@@ -101,11 +101,15 @@ fn runs_of_row<V: Value>(values: &[V], limit: V, row: usize, runs: &mut Vec<Run>
                 runs.extend(open.take().map(|first| Run { row, first, last: left }));
                 continue;
             }
-            for (x, value) in part.iter().enumerate() {
-                if *value > limit {
-                    open = open.or(Some(left + x));
-                } else {
-                    runs.extend(open.take().map(|first| Run { row, first, last: left + x }));
+            let mut x = 0;
+            while x < part.len() {
+                // To the next pixel that ends what is open, or opens a run.
+                let is_end = |v: &V| (*v > limit) != open.is_some();
+                let Some(step) = part[x..].iter().position(is_end) else { break };
+                x += step;
+                match open.take() {
+                    Some(first) => runs.push(Run { row, first, last: left + x }),
+                    None => open = Some(left + x),
                 }
             }
         }
