@@ -112,6 +112,22 @@ def test_identities_can_be_pushed_live(blinking: ml.SimulatedTake) -> None:
     assert len(np.unique(last.ids[last.ids >= 0])) == (last.ids >= 0).sum()
 
 
+def test_leds_are_read_from_filmed_images() -> None:
+    small = {"cameras": 2, "image_width": 640, "image_height": 512, "focal_px": 640.0, "clutter_per_frame": 0.0}
+    take = ml.simulate(ml.make_scene("walk", frames=120, markers=8, leds=True, bit_errors=0.02, reflections=0, **small))
+    told, _ = ml.leds(ml.detected(take, marker_mm=28.0))
+    identity = told.optional["id"]
+    assert (identity >= 0).mean() > 0.5
+    labels = list(dict.fromkeys(take.truth.label.tolist()))
+    place = take.truth.xyz_mm.reshape(120, len(labels), 3) / 1000.0
+    off = []
+    for row in np.flatnonzero(identity >= 0):
+        own = place[told.frame[row], int(identity[row])]
+        off.append(np.linalg.norm(take.rig.project(int(told.camera[row]), own[None])[0] - told.pixel[row]))
+    assert np.median(off) < 0.2
+    assert np.mean(np.array(off) < 4.0) > 0.99  # the rest are two LEDs in one dot
+
+
 def test_what_cannot_be_decoded_is_told(take: ml.SimulatedTake) -> None:
     with pytest.raises(InputError, match="no brightness"):
         ml.leds(take.observations)

@@ -66,7 +66,8 @@ def detected(
             if blur_px[camera] is None and len(blobs) >= FEWEST_FOR_BLUR:
                 blur_px[camera] = blobs.blur_px
             where = np.tile([frame, camera], (len(blobs), 1))
-            rows.append(np.column_stack([where, blobs.pixel, blobs.radius_px, blobs.sigma_px, blobs.quality]))
+            own = (blobs.radius_px, blobs.brightness, blobs.sigma_px, blobs.quality)
+            rows.append(np.column_stack([where, blobs.pixel, *own]))
         if progress:
             progress(frame + 1, take.scene.frames)
     table = np.concatenate(rows)
@@ -75,7 +76,7 @@ def detected(
         camera=table[:, 1].astype(np.int64),
         camera_ids=tuple(take.rig.ids),
         pixel=table[:, 2:4].copy(),
-        optional={"radius": table[:, 4], "sigma": table[:, 5], "quality": table[:, 6]},
+        optional=dict(zip(("radius", "brightness", "sigma", "quality"), table[:, 4:].T.copy(), strict=True)),
         rate_hz=take.scene.rate_hz,
         frames=np.arange(take.scene.frames),
         source=f"filmed {take.scene.scene}",
