@@ -1,6 +1,6 @@
 """Two recordings without a common clock: offset and drift from motion, and tracking with two clocks beside one.
 
-    python benches/clocks.py [--seeds=5]
+    python benches/clocks.py [--seeds=5] [--only=tracking]
 
 Every second camera of a simulated rig has its own clock: its frame 0 is 3.37 frames late, and it runs 20 ppm slow. 60 s
 at 100 Hz. The bound is what the noise of the dots alone would leave, by the same derivatives.
@@ -59,11 +59,14 @@ def tracking(seeds: int) -> None:
                 f"{scene:7s} {name:18s} {mean(lambda s: s['ghosts_per_frame']):6.4f} "
                 f"{mean(lambda s: s['missing_per_frame']):8.4f} {mean(lambda s: s['error_mm']['median']):10.3f} "
                 f"{mean(lambda s: s['error_mm']['rms']):7.3f} {mean(lambda s: s['sigma_ratio']):15.2f} "
-                f"{mean(lambda s: s['id_switches']):9.1f}"
+                f"{mean(lambda s: s['id_switches']):9.1f}   missing by seed "
+                + " ".join(f"{s['missing_per_frame']:.3f}" for s in scores)
             )
 
 
 if __name__ == "__main__":
-    count = int(dict(a.lstrip("-").split("=") for a in sys.argv[1:]).get("seeds", "5"))
-    synchronise(count)
+    given = dict(a.lstrip("-").split("=") for a in sys.argv[1:])
+    count = int(given.get("seeds", "5"))
+    if given.get("only") != "tracking":
+        synchronise(count)
     tracking(count)

@@ -98,8 +98,7 @@ class Filmed:
         """The dots, by frame of the first clock; ``time_s`` where there are two, ``brightness`` of LEDs."""
         scene, rig = self._scene, self._rig
         table = np.array(self._rows, float).reshape(-1, 6)
-        holders = np.argsort(table[:, 0], kind="stable")
-        table = table[holders]
+        table = table[np.argsort(table[:, 0], kind="stable")]
         columns = {"time_s": table[:, 4]} if scene.has_two_clocks else {}
         columns |= {"brightness": table[:, 5]} if scene.leds else {}
         return Observations(

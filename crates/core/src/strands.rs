@@ -78,11 +78,8 @@ impl Strands {
                 let expected: Vec<Vector2<f64>> = ends.iter().map(|&s| self.beyond(&all[s].1, gap + 1)).collect();
                 let begun: Vec<Vector2<f64>> = begin.iter().map(|&s| self.places[all[s].1[0]]).collect();
                 for (k, place) in expected.iter().enumerate() {
-                    let Some(j) = clearly_nearest(place, &begun).filter(|&j| (begun[j] - place).norm() < largest)
-                    else {
-                        continue;
-                    };
-                    if clearly_nearest(&begun[j], &expected) == Some(k) {
+                    let Some(j) = clearly_nearest(place, &begun, largest) else { continue };
+                    if clearly_nearest(&begun[j], &expected, largest) == Some(k) {
                         (follower[ends[k]], is_follower[begin[j]]) = (Some(begin[j]), true);
                     }
                 }
@@ -173,10 +170,8 @@ impl Strands {
             own.clone().map(|at| self.places[at] + moved(at).unwrap_or_else(|| beside(at))).collect();
         let later = &self.places[next.clone()];
         for (k, place) in expected.iter().enumerate() {
-            let Some(j) = clearly_nearest(place, later).filter(|&j| (later[j] - place).norm() < largest) else {
-                continue;
-            };
-            if clearly_nearest(&later[j], &expected) == Some(k) {
+            let Some(j) = clearly_nearest(place, later, largest) else { continue };
+            if clearly_nearest(&later[j], &expected, largest) == Some(k) {
                 self.next[own.start + k] = Some(next.start + j);
                 self.previous[next.start + j] = Some(own.start + k);
             }
@@ -184,8 +179,8 @@ impl Strands {
     }
 }
 
-/// Index of the nearest place if no other is nearly as near.
-fn clearly_nearest(to: &Vector2<f64>, places: &[Vector2<f64>]) -> Option<usize> {
+/// Index of the nearest place within a distance, if no other is nearly as near.
+pub fn clearly_nearest(to: &Vector2<f64>, places: &[Vector2<f64>], largest: f64) -> Option<usize> {
     let (mut best, mut first, mut second) = (None, f64::MAX, f64::MAX);
     for (k, place) in places.iter().enumerate() {
         let squared = (place - to).norm_squared();
@@ -195,7 +190,7 @@ fn clearly_nearest(to: &Vector2<f64>, places: &[Vector2<f64>]) -> Option<usize> 
             second = second.min(squared);
         }
     }
-    best.filter(|_| second > CLEARLY_NEARER * CLEARLY_NEARER * first)
+    best.filter(|_| first < largest * largest && second > CLEARLY_NEARER * CLEARLY_NEARER * first)
 }
 
 #[cfg(test)]

@@ -90,22 +90,28 @@ def detect(
         np.concatenate(column) for column in zip(*rows, strict=True)
     )
     known = {r for r in rates if r is not None}
-    optional = {"radius": radius, "brightness": brightness, "sigma": sigma, "quality": quality}
-    if all(s is not None for s in starts) and all(r is not None for r in rates):
-        began, rate = np.array(starts, float), np.array(rates, float)
-        optional = {"timecode_s": began[camera.astype(int)] + frame / rate[camera.astype(int)], **optional}
+    columns = {"radius": radius, "brightness": brightness, "sigma": sigma, "quality": quality}
     found = Observations(
         frame.astype(np.int64),
         camera.astype(np.int64),
         tuple(sources),
         pixel,
-        optional=optional,
+        optional=_timecodes_s(frame, camera.astype(np.int64), starts, rates) | columns,
         rate_hz=known.pop() if len(known) == 1 else None,
         frames=np.arange(frames),
         source=", ".join(str(s) for s in sources.values()),
         warnings=tuple(warnings),
     )
     return found, {"frames": frames, "dots": len(found), "cameras": report, "warnings": warnings}
+
+
+def _timecodes_s(
+    frame: np.ndarray, camera: np.ndarray, starts: list[float | None], rates: list[float | None]
+) -> dict[str, np.ndarray]:
+    """The time of every dot as a column, where every video states when it begins."""
+    if any(s is None for s in starts) or any(r is None for r in rates):
+        return {}
+    return {"timecode_s": np.array(starts, float)[camera] + frame / np.array(rates, float)[camera]}
 
 
 def learn_mask(source: str | Path, *, threshold: float | None = None) -> Flags:

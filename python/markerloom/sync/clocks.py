@@ -59,7 +59,6 @@ class _Part:
     """What one clock ticks for: a recording, or one camera of it."""
 
     name: str
-    recording: int
     take: Observations
 
 
@@ -93,10 +92,7 @@ def sync(
         raise InputError(f"there is one clock only ({parts[0].name}): nothing is to be put on another")
     reference = max(range(len(parts)), key=lambda i: (parts[i].take.rate_hz or 0.0, -i))
     clocks = _clocks(parts, reference, rig, by, offsets or {})
-    timed = [
-        _timed(r, [(c, p) for c, p in zip(clocks, parts, strict=True) if p.recording == i])
-        for i, r in enumerate(recordings)
-    ]
+    timed = [_timed(recording, clocks) for recording in recordings]
     merged = framed_by_time(_joined(timed, float(parts[reference].take.rate_hz or 0.0)))
     warnings = [*merged.warnings, *(w for c in clocks for w in c.details.get("warnings", ()))]
     report = {
@@ -123,8 +119,8 @@ def _parts(recordings: Sequence[Observations], each_camera: bool, offsets: Mappi
         together = [c for c in used if c not in apart]
         if together:
             name = _name(recording, index)
-            parts.append(_Part(name, index, recording if not apart else recording.of_cameras(together)))
-        parts += [_Part(c, index, recording.of_cameras([c])) for c in sorted(apart, key=natural_key)]
+            parts.append(_Part(name, recording if not apart else recording.of_cameras(together)))
+        parts += [_Part(c, recording.of_cameras([c])) for c in sorted(apart, key=natural_key)]
     cameras = [c for r in recordings for c in np.array(r.camera_ids)[np.unique(r.camera)].tolist()]
     twice = sorted({c for c in cameras if cameras.count(c) > 1}, key=natural_key)
     if twice:
@@ -200,10 +196,10 @@ def _chained(own: Clock, known: Clock, against: dict[str, Any], by: str) -> Cloc
     )
 
 
-def _timed(recording: Observations, clocks: list[tuple[Clock, _Part]]) -> Observations:
+def _timed(recording: Observations, clocks: list[Clock]) -> Observations:
     """The recording with the time of every row."""
     time_s = np.full(len(recording), np.nan)
-    for clock, _ in clocks:
+    for clock in clocks:
         own = np.isin(np.array(recording.camera_ids)[recording.camera], clock.cameras)
         time_s[own] = clock.time_s(recording.frame[own])
     optional = {"time_s": time_s, **{k: v for k, v in recording.optional.items() if k not in ("time_s", "timecode_s")}}

@@ -34,6 +34,14 @@ impl Disk {
     }
 }
 
+impl Disk {
+    /// Whether a fit has not run away from where it started.
+    fn is_near(&self, start: &Self) -> bool {
+        let moved = (self.center - start.center).norm();
+        moved < 1.0 + 0.5 * start.radius && self.radius > 0.2 && self.radius < 3.0 * start.radius + 2.0
+    }
+}
+
 /// The blur of a camera's edges.
 #[derive(Clone, Copy, Debug)]
 pub struct Edge {
@@ -129,6 +137,17 @@ fn not_below(place: f64) -> usize {
     whole + usize::from((whole as f64) < place)
 }
 
+/// A pixel's part of the normal equations. Both halves of the symmetric products: whole rows go through one register.
+#[inline]
+fn add<const N: usize>(products: &mut [[f32; N]; N], gradient: &mut [f32; N], by: &[f32; N], residual: f32) {
+    for j in 0..N {
+        gradient[j] += by[j] * residual;
+        for i in 0..N {
+            products[j][i] += by[i] * by[j];
+        }
+    }
+}
+
 /// Gauss–Newton over centre, radius, height and, with five parameters, the width of the edge.
 fn solve<V: Value, const N: usize>(
     image: &Image<'_, V>,
@@ -137,9 +156,11 @@ fn solve<V: Value, const N: usize>(
     edge: Edge,
 ) -> Option<(Disk, f64)> {
     let reach = start.radius + REACH * edge.width_px + 0.5;
-    let low = start.center.map(|c| (c - reach).floor().max(0.0) as usize);
-    let high = start.center.map(|c| (c + reach).ceil().max(0.0) as usize);
-    let (right, bottom) = (high.x.min(image.width - 1), high.y.min(image.height - 1));
+    let low = start.center.map(|c| (c - reach).max(0.0) as usize);
+    let (right, bottom) = (
+        not_below(start.center.x + reach).min(image.width - 1),
+        not_below(start.center.y + reach).min(image.height - 1),
+    );
     let (mut disk, mut width) = (*start, edge.width_px);
     let table: &[(f32, f32)] = &TABLE;
     for _ in 0..STEPS {
@@ -173,13 +194,7 @@ fn solve<V: Value, const N: usize>(
                 let outwards = steep / distance.max(1e-6);
                 let all: [f32; 5] = [outwards * run, outwards * rise, steep, share, -steep * u];
                 let by: [f32; N] = std::array::from_fn(|k| all[k]);
-                // Both halves of the symmetric products: whole rows go through one register.
-                for j in 0..N {
-                    gradient[j] += by[j] * residual;
-                    for i in 0..N {
-                        products[j][i] += by[i] * by[j];
-                    }
-                }
+                add(&mut products, &mut gradient, &by, residual);
             }
         }
         let normal = SMatrix::<f64, N, N>::from_fn(|i, j| f64::from(products[i][j]));
@@ -195,8 +210,7 @@ fn solve<V: Value, const N: usize>(
         let squares = (f64::from(squares) - step.dot(&gradient)).max(0.0);
         disk.rest = (squares / (f64::from(count) - N as f64).max(1.0)).sqrt();
         disk.misfit = disk.rest.max(level.noise) / level.noise;
-        let moved = (disk.center - start.center).norm();
-        if !(moved < 1.0 + 0.5 * start.radius && disk.radius > 0.2 && disk.radius < 3.0 * start.radius + 2.0) {
+        if !disk.is_near(start) {
             return None;
         }
         let left = (step[0] * step[0] + step[1] * step[1]) / (2.0 * width);

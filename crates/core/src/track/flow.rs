@@ -8,12 +8,9 @@
 use super::frame::Frame;
 use crate::camera::Rig;
 use crate::correspond::frame::Dot;
+use crate::strands::{LARGEST_STEP, clearly_nearest};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// The dot before must be this many times as near as the next.
-const CLEARLY_NEARER: f64 = 2.0;
-/// Farthest that a dot goes between two frames, in image widths.
-const LARGEST_STEP: f64 = 0.05;
 /// A speed of which nothing is known (m/s, standard deviation per axis).
 const ANY_SPEED: f64 = 1.5;
 
@@ -71,19 +68,6 @@ impl Flow {
         }
         found
     }
-}
-
-fn clearly_nearest(to: &Vector2<f64>, places: &[Vector2<f64>], largest: f64) -> Option<usize> {
-    let (mut best, mut first, mut second) = (None, largest * largest, f64::MAX);
-    for (k, place) in places.iter().enumerate() {
-        let squared = (place - to).norm_squared();
-        if squared < first {
-            (best, first, second) = (Some(k), squared, if best.is_some() { first } else { second });
-        } else {
-            second = second.min(squared);
-        }
-    }
-    best.filter(|_| second > CLEARLY_NEARER * CLEARLY_NEARER * first)
 }
 
 /// Dots as they were at the frame's moment, `lag_s` (by camera) before they were seen; with the noise that this adds.
