@@ -99,3 +99,8 @@ impl DotArrays<'_> {
         Ok((dots, ranges))
     }
 }
+
+/// Places from an (n, 3) array.
+pub fn places(xyz: &PyReadonlyArray2<'_, f64>) -> Vec<Vector3<f64>> {
+    xyz.as_array().outer_iter().map(|row| Vector3::new(row[0], row[1], row[2])).collect()
+}

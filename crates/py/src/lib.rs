@@ -9,6 +9,7 @@ mod conv;
 mod detect;
 mod errors;
 mod hidden;
+mod label;
 mod reconstruct;
 mod rig;
 mod sync;
@@ -31,6 +32,9 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(hidden::on_spheres, module)?)?;
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
+    module.add_class::<label::PyModel>()?;
+    module.add_function(wrap_pyfunction!(label::learn_subject, module)?)?;
+    module.add_function(wrap_pyfunction!(label::learn_more, module)?)?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
     module.add_function(wrap_pyfunction!(detect::fit_patches, module)?)?;
     module.add_function(wrap_pyfunction!(calibrate::calibrate_wand, module)?)?;

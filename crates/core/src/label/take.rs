@@ -1,0 +1,300 @@
+//! Names for a whole take: what speaks for every marker along every trajectory, in both directions of time.
+//!
+//! Key frames are searched without history; every trajectory gathers their votes. From then on all samples of the take
+//! know roughly who is around, so that what speaks for a marker at a point can be weighed everywhere (`evidence.rs`).
+//! Along a trajectory that evidence adds up, and a change of name costs: the best path through every name at every
+//! moment (max-marginals of a hidden Markov model, forward and backward) is its score there, and each sample gets the
+//! assignment of the largest sum. Repeated until the names stand. A trajectory whose marker was exchanged by the tracker
+//! is thus named anew from the moment of the exchange; short pieces and phantoms have their own frames only.
+//!
+//! Cost: samples × markers × points; in parallel over samples, with the same result for any number of threads.
+
+use super::evidence::{Frame, Names, Naming, best};
+use super::model::Model;
+use super::search::{Plan, search_all};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Samples per second at most, and time between key frames (s); fewer key frames than these make no vote.
+const SAMPLES_HZ: f64 = 30.0;
+const KEY_S: f64 = 0.5;
+const KEYS: usize = 24;
+/// Time within which frames say the same (s): evidence counts once in it.
+const ALIKE_S: f64 = 0.1;
+/// What a change of name along a trajectory costs.
+const CHANGE: f64 = 14.0;
+/// Names of a trajectory that are followed, and rounds, at most.
+const FOLLOWED: usize = 8;
+const ROUNDS: usize = 4;
+
+/// The points of a take.
+pub struct Take<'a> {
+    /// First row of each frame, and the number of rows.
+    pub starts: &'a [usize],
+    /// Places (m).
+    pub points: &'a [Vector3<f64>],
+    /// The trajectory of each row, counted from 0.
+    pub track: &'a [usize],
+    /// Number of trajectories.
+    pub tracks: usize,
+    /// Frames per second.
+    pub rate_hz: f64,
+    /// Of each row, the marker that is believed to be there, and how firmly (as evidence); empty, or one for each row.
+    pub believed: &'a [Option<(usize, f64)>],
+}
+
+/// The names of a take.
+pub struct Labelled {
+    /// Of each row its marker.
+    pub marker: Vec<Option<usize>>,
+    /// Of each row the probability of what is said of it.
+    pub probability: Vec<f64>,
+    /// Share of the heights over triangles, in the key frames, that are on the wrong side.
+    pub mirrored: f64,
+}
+
+/// What is weighed at one sample: a frame, its rows and their candidates.
+struct Sample {
+    frame: usize,
+    names: Names,
+    /// Of each point of the frame: markers and what speaks for them.
+    candidates: Vec<Vec<(usize, f64)>>,
+}
+
+/// Name the rows of a take.
+pub fn label_take(model: &Model, plans: &[Plan], take: &Take) -> Labelled {
+    let frames = sampled(take);
+    let (votes, mirrored) = votes(model, plans, take);
+    let mut samples: Vec<Sample> = frames
+        .par_iter()
+        .map(|&frame| Sample { frame, names: by_votes(model, take, frame, &votes), candidates: Vec::new() })
+        .collect();
+    let mut scores = Vec::new();
+    for _ in 0..ROUNDS {
+        samples.par_iter_mut().for_each(|sample| weigh(model, take, sample));
+        scores = along_tracks(take, &samples);
+        let next: Vec<Names> = samples
+            .par_iter()
+            .zip(&scores)
+            .map(|(sample, own)| {
+                let points = rows(take, sample.frame).len();
+                let mut values = vec![0.0; model.len() * points];
+                for (point, candidates) in own.iter().enumerate() {
+                    candidates.iter().for_each(|&(m, s)| values[m * points + point] = s);
+                }
+                best(&values, model.len(), points, 0.0)
+            })
+            .collect();
+        let stands = samples.iter().zip(&next).all(|(s, n)| s.names == *n);
+        samples.iter_mut().zip(next).for_each(|(s, n)| s.names = n);
+        if stands {
+            break;
+        }
+    }
+    spread_out(take, &samples, &scores, mirrored)
+}
+
+fn rows(take: &Take, frame: usize) -> std::ops::Range<usize> {
+    take.starts[frame]..take.starts[frame + 1]
+}
+
+/// Frames that are weighed: evenly spread ones, and one for each trajectory that would have none.
+fn sampled(take: &Take) -> Vec<usize> {
+    let count = take.starts.len() - 1;
+    let stride = ((take.rate_hz / SAMPLES_HZ).round() as usize).max(1);
+    let mut wanted: Vec<usize> = (0..count).step_by(stride).collect();
+    let mut has_one = vec![false; take.tracks];
+    wanted.iter().flat_map(|&f| rows(take, f)).for_each(|row| has_one[take.track[row]] = true);
+    let mut frames_of = vec![Vec::new(); take.tracks];
+    for frame in 0..count {
+        for row in rows(take, frame).filter(|&r| !has_one[take.track[r]]) {
+            frames_of[take.track[row]].push(frame);
+        }
+    }
+    wanted.extend(frames_of.iter().filter(|f| !f.is_empty()).map(|f| f[f.len() / 2]));
+    wanted.sort_unstable();
+    wanted.dedup();
+    wanted
+}
+
+/// What key frames, each searched without history, say of every trajectory; and the share of heights on the wrong side.
+fn votes(model: &Model, plans: &[Plan], take: &Take) -> (Vec<Vec<(usize, f64)>>, f64) {
+    let count = take.starts.len() - 1;
+    let stride = ((KEY_S * take.rate_hz) as usize).min(count / KEYS).max(1);
+    let keys: Vec<usize> = (0..count).skip(stride / 2).step_by(stride).collect();
+    let said: Vec<(Vec<(usize, usize, f64)>, [usize; 2])> = keys
+        .par_iter()
+        .map(|&f| {
+            let points = &take.points[rows(take, f)];
+            let frame = Frame::new(points);
+            let found = search_all(model, plans, &frame);
+            let sides = found.sides(model, &frame);
+            let named = found.names.iter().enumerate().filter_map(|(m, p)| p.map(|p| (m, p)));
+            let vote = |(m, p)| (take.track[take.starts[f] + p], m, found.values[m * points.len() + p]);
+            (named.map(vote).collect(), sides)
+        })
+        .collect();
+    let mut votes = vec![Vec::new(); take.tracks];
+    for (track, marker, value) in said.iter().flat_map(|s| &s.0) {
+        add(&mut votes[*track], *marker, *value);
+    }
+    for (row, believed) in take.believed.iter().enumerate() {
+        if let Some((marker, value)) = believed {
+            add(&mut votes[take.track[row]], *marker, *value);
+        }
+    }
+    let sides = said.iter().fold([0, 0], |sum, s| [sum[0] + s.1[0], sum[1] + s.1[1]]);
+    (votes, sides[1] as f64 / (sides[0] + sides[1]).max(1) as f64)
+}
+
+fn add(list: &mut Vec<(usize, f64)>, marker: usize, value: f64) {
+    match list.iter_mut().find(|x| x.0 == marker) {
+        Some(entry) => entry.1 += value,
+        None => list.push((marker, value)),
+    }
+}
+
+fn by_votes(model: &Model, take: &Take, frame: usize, votes: &[Vec<(usize, f64)>]) -> Names {
+    let rows = rows(take, frame);
+    let points = rows.len();
+    let mut values = vec![0.0; model.len() * points];
+    for (point, row) in rows.enumerate() {
+        votes[take.track[row]].iter().for_each(|&(m, v)| values[m * points + point] = v);
+    }
+    best(&values, model.len(), points, 0.0)
+}
+
+/// What speaks for whom at every point of a sample, given the names so far.
+fn weigh(model: &Model, take: &Take, sample: &mut Sample) {
+    let rows = rows(take, sample.frame);
+    let points = &take.points[rows.clone()];
+    let frame = Frame::new(points);
+    let naming = Naming::new(model, &frame, sample.names.clone());
+    sample.candidates = vec![Vec::new(); points.len()];
+    for m in 0..model.len() {
+        for (p, row) in rows.clone().enumerate() {
+            let believed = take.believed.get(row).copied().flatten().filter(|b| b.0 == m).map_or(0.0, |b| b.1);
+            let value = naming.values[m * points.len() + p] + believed;
+            if value > 0.0 || naming.names[m] == Some(p) {
+                sample.candidates[p].push((m, value));
+            }
+        }
+    }
+}
+
+/// Of each sample and point: the score of the best path of its trajectory through every name, over that through none.
+fn along_tracks(take: &Take, samples: &[Sample]) -> Vec<Vec<Vec<(usize, f64)>>> {
+    let mut of_track: Vec<Vec<(usize, usize)>> = vec![Vec::new(); take.tracks];
+    for (i, sample) in samples.iter().enumerate() {
+        for (p, row) in rows(take, sample.frame).enumerate() {
+            of_track[take.track[row]].push((i, p));
+        }
+    }
+    let mut scores: Vec<Vec<Vec<(usize, f64)>>> =
+        samples.iter().map(|s| vec![Vec::new(); s.candidates.len()]).collect();
+    let found: Vec<Vec<Vec<(usize, f64)>>> =
+        of_track.par_iter().map(|visits| path_scores(take, samples, visits)).collect();
+    for (visits, own) in of_track.iter().zip(found) {
+        for (&(i, p), candidates) in visits.iter().zip(own) {
+            scores[i][p] = candidates;
+        }
+    }
+    scores
+}
+
+fn path_scores(take: &Take, samples: &[Sample], visits: &[(usize, usize)]) -> Vec<Vec<(usize, f64)>> {
+    let mut total = Vec::new();
+    for &(i, p) in visits {
+        samples[i].candidates[p].iter().for_each(|&(m, v)| add(&mut total, m, v.max(0.0)));
+    }
+    total.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    total.truncate(FOLLOWED);
+    let markers: Vec<usize> = total.iter().map(|x| x.0).collect();
+    let states = markers.len() + 1; // the last: none of them
+    let told: Vec<Vec<f64>> = visits
+        .iter()
+        .enumerate()
+        .map(|(k, &(i, p))| {
+            let before = if k == 0 { f64::INFINITY } else { seconds(take, samples, visits[k - 1].0, i) };
+            let after = visits.get(k + 1).map_or(f64::INFINITY, |v| seconds(take, samples, i, v.0));
+            // Alone in its surroundings a sample counts in full; among others by its share of the time.
+            let weight = (0.5 * (before.min(ALIKE_S) + after.min(ALIKE_S)) / ALIKE_S).min(1.0);
+            let value = |m: usize| samples[i].candidates[p].iter().find(|c| c.0 == m).map_or(OTHERWISE, |c| c.1);
+            markers.iter().map(|&m| weight * value(m)).chain([0.0]).collect()
+        })
+        .collect();
+    let run = |order: &mut dyn Iterator<Item = usize>| {
+        let mut reached = vec![vec![0.0; states]; visits.len()];
+        let mut last: Option<usize> = None;
+        for k in order {
+            let from = last.map(|l| reached[l].clone());
+            let most = from.as_ref().map_or(0.0, |f| f.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+            for s in 0..states {
+                let came = from.as_ref().map_or(0.0, |f| f[s].max(most - CHANGE));
+                reached[k][s] = came + told[k][s];
+            }
+            last = Some(k);
+        }
+        reached
+    };
+    let forward = run(&mut (0..visits.len()));
+    let backward = run(&mut (0..visits.len()).rev());
+    (0..visits.len())
+        .map(|k| {
+            let through = |s: usize| forward[k][s] + backward[k][s] - told[k][s];
+            let none = through(states - 1);
+            markers.iter().enumerate().map(|(s, &m)| (m, through(s) - none)).collect()
+        })
+        .collect()
+}
+
+/// What speaks for a marker at a point where it was no candidate.
+const OTHERWISE: f64 = -6.0;
+
+fn seconds(take: &Take, samples: &[Sample], a: usize, b: usize) -> f64 {
+    (samples[b].frame - samples[a].frame) as f64 / take.rate_hz
+}
+
+/// Names of the samples for the rows between them: a row has the name of its trajectory's nearest sample.
+fn spread_out(take: &Take, samples: &[Sample], scores: &[Vec<Vec<(usize, f64)>>], mirrored: f64) -> Labelled {
+    let mut of_track: Vec<Vec<(usize, Option<usize>, f64, f64)>> = vec![Vec::new(); take.tracks];
+    for (sample, own) in samples.iter().zip(scores) {
+        let mut name = vec![None; own.len()];
+        sample.names.iter().enumerate().for_each(|(m, p)| p.iter().for_each(|&p| name[p] = Some(m)));
+        for (p, row) in rows(take, sample.frame).enumerate() {
+            let (score, probability) = certainty(&own[p], name[p]);
+            of_track[take.track[row]].push((sample.frame, name[p], score, probability));
+        }
+    }
+    let count = take.points.len();
+    let mut found = Labelled { marker: vec![None; count], probability: vec![0.0; count], mirrored };
+    let mut score = vec![0.0; count];
+    for frame in 0..take.starts.len() - 1 {
+        for row in rows(take, frame) {
+            let own = &of_track[take.track[row]];
+            let after = own.partition_point(|x| x.0 < frame);
+            let near = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| own.get(i));
+            if let Some(&(_, name, s, p)) = near.min_by_key(|x| x.0.abs_diff(frame)) {
+                (found.marker[row], score[row], found.probability[row]) = (name, s, p);
+            }
+        }
+        // Between two samples a name may have passed from one trajectory to another: the better one has it.
+        for row in rows(take, frame) {
+            let twin = rows(take, frame).find(|&r| r != row && found.marker[r].is_some() && found.marker[r] == found.marker[row]);
+            if let Some(twin) = twin {
+                let loser = if score[row] < score[twin] { row } else { twin };
+                found.marker[loser] = None;
+                found.probability[loser] = 0.5;
+            }
+        }
+    }
+    found
+}
+
+/// The score of what is said of a point, and its probability among all that could be said.
+fn certainty(scores: &[(usize, f64)], name: Option<usize>) -> (f64, f64) {
+    let own = name.and_then(|m| scores.iter().find(|s| s.0 == m)).map_or(0.0, |s| s.1);
+    let others = scores.iter().filter(|s| Some(s.0) != name).map(|s| s.1);
+    let others = if name.is_some() { others.chain([0.0]).collect::<Vec<_>>() } else { others.collect() };
+    (own, 1.0 / (1.0 + others.iter().map(|s| (s - own).clamp(-60.0, 60.0).exp()).sum::<f64>()))
+}

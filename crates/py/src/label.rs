@@ -1,0 +1,145 @@
+//! Naming of points for Python.
+
+use crate::conv::places;
+use markerloom_core::label::evidence::{Frame, Names, Naming};
+use markerloom_core::label::learn::{Learned, Named, learn, learn_more as engine_learn_more};
+use markerloom_core::label::model::{Height, Length, Model};
+use markerloom_core::label::search::{Plan, search_all};
+use markerloom_core::label::take::{Take, label_take};
+use nalgebra::Vector3;
+use numpy::ndarray::ArrayView1;
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::prelude::*;
+
+type Numbers = (f64, f64, f64);
+type Lengths = Vec<Option<Numbers>>;
+type Heights = Vec<Vec<([usize; 3], Numbers)>>;
+
+fn numbers(length: &Length) -> Numbers {
+    (length.mean, length.sd, length.trust)
+}
+
+fn length((mean, sd, trust): Numbers) -> Length {
+    Length { mean, sd, trust }
+}
+
+/// Frames with names from (frames, markers, 3), NaN where missing.
+fn named(xyz_m: &PyReadonlyArray3<'_, f64>) -> Vec<Named> {
+    let place = |row: ArrayView1<'_, f64>| {
+        let p = Vector3::new(row[0], row[1], row[2]);
+        p.iter().all(|v| v.is_finite()).then_some(p)
+    };
+    xyz_m.as_array().outer_iter().map(|frame| frame.outer_iter().map(place).collect()).collect()
+}
+
+fn as_lists(learned: &Learned) -> (Lengths, Heights) {
+    let lengths = learned.distances.iter().map(|d| d.as_ref().map(numbers)).collect();
+    let heights = learned.heights.iter();
+    (lengths, heights.map(|own| own.iter().map(|h| (h.base, numbers(&h.length))).collect()).collect())
+}
+
+fn as_learned(distances: Lengths, heights: Heights) -> Learned {
+    let height = |(base, numbers)| Height { base, length: length(numbers) };
+    Learned {
+        distances: distances.into_iter().map(|d| d.map(length)).collect(),
+        heights: heights.into_iter().map(|own| own.into_iter().map(height).collect()).collect(),
+    }
+}
+
+/// Distances (row by row) and heights of a subject from frames with names: (frames, markers, 3), NaN where missing.
+#[pyfunction]
+pub fn learn_subject(
+    py: Python<'_>,
+    xyz_m: PyReadonlyArray3<'_, f64>,
+    believed_sd_m: Vec<f64>,
+    poses: f64,
+    noise_m: f64,
+) -> (Lengths, Heights) {
+    let frames = named(&xyz_m);
+    as_lists(&py.detach(|| learn(&frames, &believed_sd_m, poses, noise_m)))
+}
+
+/// What further frames add to a subject.
+#[pyfunction]
+pub fn learn_more(
+    py: Python<'_>,
+    known: (Lengths, Heights),
+    known_poses: f64,
+    xyz_m: PyReadonlyArray3<'_, f64>,
+    poses: f64,
+    noise_m: f64,
+) -> (Lengths, Heights) {
+    let (frames, known) = (named(&xyz_m), as_learned(known.0, known.1));
+    as_lists(&py.detach(|| engine_learn_more(&known, known_poses, &frames, poses, noise_m)))
+}
+
+/// What is known of the markers of one or several subjects.
+#[pyclass(name = "LabelModel", module = "markerloom._core", frozen)]
+pub struct PyModel {
+    inner: Model,
+    plans: Vec<Plan>,
+}
+
+#[pymethods]
+impl PyModel {
+    #[new]
+    fn new(subject: Vec<usize>, distances: Lengths, heights: Heights) -> Self {
+        let known = as_learned(distances, heights);
+        let inner = Model::new(subject, &known.distances, &known.heights);
+        let plans = (0..inner.subjects()).map(|s| Plan::new(&inner, s)).collect();
+        Self { inner, plans }
+    }
+
+    /// Names given the names of before: settled, with the evidence of each.
+    fn settle(&self, xyz_m: PyReadonlyArray2<'_, f64>, names: Vec<i64>) -> (Vec<i64>, f64) {
+        let points = places(&xyz_m);
+        let frame = Frame::new(&points);
+        let names = names.iter().map(|&p| usize::try_from(p).ok()).collect();
+        let mut naming = Naming::new(&self.inner, &frame, names);
+        naming.settle(&self.inner, &frame);
+        (as_numbers(&naming.names), naming.sum)
+    }
+
+    /// The markers of a frame without any history: of each marker its point, or −1; the evidence; how many markers
+    /// stand on their side of a triangle, and how many on the other.
+    fn search(&self, py: Python<'_>, xyz_m: PyReadonlyArray2<'_, f64>) -> (Vec<i64>, f64, [usize; 2]) {
+        let points = places(&xyz_m);
+        py.detach(|| {
+            let frame = Frame::new(&points);
+            let found = search_all(&self.inner, &self.plans, &frame);
+            (as_numbers(&found.names), found.sum, found.sides(&self.inner, &frame))
+        })
+    }
+
+    /// Names of a whole take: of each row its marker (or −1) and the probability; and the share of heights on the wrong
+    /// side. `believed`: of each row a marker and how firmly it is believed, or nothing at all.
+    #[expect(clippy::too_many_arguments, reason = "each one is a column of the take")]
+    fn label_take(
+        &self,
+        py: Python<'_>,
+        starts: Vec<usize>,
+        xyz_m: PyReadonlyArray2<'_, f64>,
+        track: Vec<usize>,
+        tracks: usize,
+        rate_hz: f64,
+        believed: Vec<Option<(usize, f64)>>,
+    ) -> (Vec<i64>, Vec<f64>, f64) {
+        let points = places(&xyz_m);
+        py.detach(|| {
+            let take = Take {
+                starts: &starts,
+                points: &points,
+                track: &track,
+                tracks,
+                rate_hz,
+                believed: &believed,
+            };
+            let found = label_take(&self.inner, &self.plans, &take);
+            (as_numbers(&found.marker), found.probability, found.mirrored)
+        })
+    }
+}
+
+fn as_numbers(names: &Names) -> Vec<i64> {
+    names.iter().map(|p| p.map_or(-1, |p| p as i64)).collect()
+}
