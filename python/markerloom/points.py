@@ -19,6 +19,10 @@ Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 KINDS = ("measured", "predicted", "filled", "edited")
 MEASURED = 0
+COLUMNS = (
+    *("frame", "track", "label", "xyz_mm", "sigma_mm", "rays", "residual_px", "confidence", "kind"),
+    *("residual_mm", "camera_mask", "label_probability"),
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,8 @@ class Points:
     """Points as columns, ordered by frame and track.
 
     ``kind`` holds indices into ``KINDS``. Values that a source does not know are NaN (``sigma_mm``, ``residual_px``,
-    ``confidence``) or −1 (``rays``). ``residual_mm`` is the mean distance between point and rays.
+    ``confidence``, ``label_probability``) or −1 (``rays``). ``residual_mm`` is the mean distance between point and
+    rays; ``label_probability`` that of the label being right.
     """
 
     frame: Ints
@@ -45,9 +50,12 @@ class Points:
     up_axis: str = "z"
     tracked: bool = True
     source: str = ""
+    label_probability: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Fill in the frame numbers where the source did not know them."""
+        """Fill in the frame numbers and probabilities where the source did not know them."""
+        if len(self.label_probability) != len(self.frame):
+            object.__setattr__(self, "label_probability", np.full(len(self.frame), np.nan))
         if len(self.frames) == 0 and len(self.frame) > 0:
             object.__setattr__(self, "frames", all_frames(self.frame, self.source))
 
@@ -71,11 +79,9 @@ class Points:
         """Return the number of points."""
         return len(self.frame)
 
-    def keep(self, rows: NDArray[np.bool_]) -> Points:
-        """The rows for which ``rows`` is true."""
-        names = ("frame", "track", "label", "xyz_mm", "sigma_mm", "rays", "residual_px", "confidence", "kind")
-        columns = {name: getattr(self, name)[rows] for name in (*names, "residual_mm", "camera_mask")}
-        return replace(self, **columns, frames=self.frames)
+    def keep(self, rows: NDArray[np.bool_] | Ints) -> Points:
+        """The rows for which ``rows`` is true; or these rows, in this order."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS}, frames=self.frames)
 
     def select(self, start: int | None, stop: int | None) -> Points:
         """The frames from ``start`` to before ``stop``."""

@@ -2,7 +2,8 @@
 
 use crate::conv::places;
 use markerloom_core::label::evidence::{Frame, Names, Naming};
-use markerloom_core::label::learn::{Learned, Named, learn, learn_more as engine_learn_more};
+use markerloom_core::label::learn::{Learned, Named, Said, learn, learn_more as engine_learn_more};
+use markerloom_core::label::live::Labeller;
 use markerloom_core::label::model::{Height, Length, Model};
 use markerloom_core::label::search::{Plan, search_all};
 use markerloom_core::label::take::{Take, label_take};
@@ -47,16 +48,23 @@ fn as_learned(distances: Lengths, heights: Heights) -> Learned {
 }
 
 /// Distances (row by row) and heights of a subject from frames with names: (frames, markers, 3), NaN where missing.
+/// `same_segment` (row by row): what a marker set says of each pair.
 #[pyfunction]
 pub fn learn_subject(
     py: Python<'_>,
     xyz_m: PyReadonlyArray3<'_, f64>,
-    believed_sd_m: Vec<f64>,
+    same_segment: Vec<Option<bool>>,
     poses: f64,
     noise_m: f64,
 ) -> (Lengths, Heights) {
     let frames = named(&xyz_m);
-    as_lists(&py.detach(|| learn(&frames, &believed_sd_m, poses, noise_m)))
+    let said = |pair: &Option<bool>| match pair {
+        Some(true) => Said::Rigid,
+        Some(false) => Said::Soft,
+        None => Said::Unknown,
+    };
+    let said: Vec<Said> = same_segment.iter().map(said).collect();
+    as_lists(&py.detach(|| learn(&frames, &said, poses, noise_m)))
 }
 
 /// What further frames add to a subject.
@@ -137,6 +145,33 @@ impl PyModel {
             let found = label_take(&self.inner, &self.plans, &take);
             (as_numbers(&found.marker), found.probability, found.mirrored)
         })
+    }
+}
+
+/// Names points as they come.
+#[pyclass(name = "Labeller", module = "markerloom._core")]
+pub struct PyLabeller {
+    inner: Labeller,
+}
+
+#[pymethods]
+impl PyLabeller {
+    #[new]
+    fn new(model: &PyModel) -> Self {
+        Self { inner: Labeller::new(model.inner.clone()) }
+    }
+
+    /// Of each point its marker, or −1, and the probability.
+    fn push(
+        &mut self,
+        py: Python<'_>,
+        time_s: f64,
+        tracks: Vec<i64>,
+        xyz_m: PyReadonlyArray2<'_, f64>,
+    ) -> (Vec<i64>, Vec<f64>) {
+        let points = places(&xyz_m);
+        let names = py.detach(|| self.inner.push(time_s, &tracks, &points));
+        names.iter().map(|n| (n.marker.map_or(-1, |m| m as i64), n.probability)).unzip()
     }
 }
 

@@ -33,6 +33,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(track_points::track_points, module)?)?;
     module.add_class::<c3d::PyC3d>()?;
     module.add_class::<label::PyModel>()?;
+    module.add_class::<label::PyLabeller>()?;
     module.add_function(wrap_pyfunction!(label::learn_subject, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_more, module)?)?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
@@ -53,6 +54,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(synth::cloud, module)?)?;
     module.add_function(wrap_pyfunction!(synth::body_labels, module)?)?;
     module.add_function(wrap_pyfunction!(synth::body_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::wearing_pose, module)?)?;
     module.add_function(wrap_pyfunction!(synth::rig, module)?)?;
     module.add_function(wrap_pyfunction!(x2d::read_x2d, module)?)?;
     Ok(())

@@ -65,12 +65,15 @@ pub fn cloud(seed: u64, frame: usize, markers: usize, size_m: [f64; 3], center_m
 }
 
 fn body(motion: &str, markers: usize, seed: u64, center_m: [f64; 3]) -> PyResult<Body> {
-    let motion = match motion {
-        "walk" => Motion::Walk,
-        "dance" => Motion::Dance,
-        other => return Err(RigError::new_err(format!("unknown motion '{other}': walk or dance"))),
-    };
-    Ok(Body::new(motion, markers, seed, Vector3::from(center_m)))
+    Ok(Body::new(motion_of(motion)?, markers, seed, Vector3::from(center_m)))
+}
+
+fn motion_of(motion: &str) -> PyResult<Motion> {
+    match motion {
+        "walk" => Ok(Motion::Walk),
+        "dance" => Ok(Motion::Dance),
+        other => Err(RigError::new_err(format!("unknown motion '{other}': walk or dance"))),
+    }
 }
 
 /// Names of a figure's markers.
@@ -81,13 +84,31 @@ pub fn body_labels(motion: &str, markers: usize, seed: u64) -> PyResult<Vec<Stri
 
 type Pose = (Vec<[f64; 3]>, Vec<([f64; 3], [f64; 3], f64)>);
 
+fn pose(body: &Body, time_s: f64) -> Pose {
+    let pose = body.pose(time_s);
+    let points = pose.markers_m.into_iter().map(Into::into).collect();
+    (points, pose.capsules.iter().map(|c| (c.ends_m[0].into(), c.ends_m[1].into(), c.radius_m)).collect())
+}
+
 /// Markers and occluding capsules of a figure at a time.
 #[pyfunction]
 pub fn body_pose(motion: &str, markers: usize, seed: u64, center_m: [f64; 3], time_s: f64) -> PyResult<Pose> {
-    let pose = body(motion, markers, seed, center_m)?.pose(time_s);
-    let points = pose.markers_m.into_iter().map(Into::into).collect();
-    let capsules = pose.capsules.iter().map(|c| (c.ends_m[0].into(), c.ends_m[1].into(), c.radius_m)).collect();
-    Ok((points, capsules))
+    Ok(pose(&body(motion, markers, seed, center_m)?, time_s))
+}
+
+/// Markers and occluding capsules, at a time, of a figure that wears a marker set and stands in a T-pose first.
+#[pyfunction]
+pub fn wearing_pose(
+    motion: &str,
+    set: Vec<(String, String, [f64; 3])>,
+    seed: u64,
+    center_m: [f64; 3],
+    t_pose_s: f64,
+    time_s: f64,
+) -> PyResult<Pose> {
+    let body = Body::wearing(motion_of(motion)?, &set, seed, Vector3::from(center_m), t_pose_s);
+    let body = body.ok_or_else(|| RigError::new_err("the marker set has segments that the figure has not"))?;
+    Ok(pose(&body, time_s))
 }
 
 type Seen = (usize, f64, f64, Vec<usize>);

@@ -30,7 +30,7 @@ def of_table(table: pa.Table, path: str | Path) -> Points:
     known: dict[str, object] = {}
     if "label" in columns:
         known["label"] = np.array(table_file.text(table, "label"), dtype=str)
-    for name in ("sigma_mm", "residual_px", "confidence", "residual_mm"):
+    for name in ("sigma_mm", "residual_px", "confidence", "residual_mm", "label_probability"):
         if name in columns:
             known[name] = table_file.number(table, name, path)
     for name in ("rays", "camera_mask"):
@@ -47,11 +47,7 @@ def of_table(table: pa.Table, path: str | Path) -> Points:
 
 def _ordered(points: Points) -> Points:
     order = np.lexsort((points.track, points.frame))
-    if np.array_equal(order, np.arange(len(order))):
-        return points
-    names = ("frame", "track", "label", "xyz_mm", "sigma_mm", "rays", "residual_px", "confidence", "kind")
-    columns = {n: getattr(points, n)[order] for n in (*names, "residual_mm", "camera_mask")}
-    return Points(**columns, rate_hz=points.rate_hz, frames=points.frames, source=points.source, tracked=points.tracked)
+    return points if np.array_equal(order, np.arange(len(order))) else points.keep(order)
 
 
 def _kinds(names: list[str], path: str | Path) -> np.ndarray:
@@ -101,6 +97,8 @@ def to_arrow(points: Points) -> pa.Table:
             "camera_mask": pa.array(points.camera_mask),
         }
     )
+    if np.isfinite(points.label_probability).any():
+        table = table.append_column("label_probability", pa.array(points.label_probability))
     metadata = {"units": "mm", "up_axis": points.up_axis, "tracked": str(points.tracked).lower()}
     if points.rate_hz is not None:
         metadata["rate_hz"] = repr(points.rate_hz)

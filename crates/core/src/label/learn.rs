@@ -22,6 +22,13 @@ const WORTH: f64 = 1.0;
 const HALF_TRUSTED: f64 = 10.0;
 /// A pair is taken for rigid when its spread is at most this many times that of the body's most rigid pairs.
 const RIGID: f64 = 2.5;
+/// Spread of a rigid pair before any frame was seen (m), and by its distance.
+const SKIN: f64 = 0.005;
+const BY_DISTANCE: f64 = 0.15;
+/// The body has moved when its distances vary this many times more than its most rigid ones; where it has not, pairs up
+/// to this part of its reach are taken for rigid.
+const MOVED: f64 = 3.0;
+const NEAR: f64 = 0.12;
 /// Share of the frames in which a pair must be seen to be taken for rigid.
 const OFTEN: f64 = 0.5;
 /// Least spread of a rigid pair (m): skin and noise.
@@ -40,13 +47,24 @@ pub struct Learned {
     pub heights: Vec<Vec<Height>>,
 }
 
-/// Learn a subject. `believed_sd`: spread of each distance (m) before any frame was seen, were the pair rigid, n × n;
-/// `poses`: how many independent poses the frames are worth. The extremes are clipped, so that jumps and swaps of a
+/// What is said of a pair before any frame was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Said {
+    /// Both markers are on one segment.
+    Rigid,
+    /// They are on different segments.
+    Soft,
+    /// Nothing.
+    Unknown,
+}
+
+/// Learn a subject. `said` (n × n) is what a marker set says of each pair; `poses`: how many independent poses the frames are worth. The extremes are clipped, so that jumps and swaps of a
 /// few frames do not count.
 ///
 /// A pair that kept its distance while others changed theirs much is rigid, and its spread is as seen. A pair that moved
-/// a little may move more tomorrow: its spread is widened, and it is trusted only by the number of poses.
-pub fn learn(frames: &[Named], believed_sd: &[f64], poses: f64, noise_m: f64) -> Learned {
+/// a little may move more tomorrow: its spread is widened, and it is trusted only by the number of poses. Where nothing
+/// moved at all, only near markers are taken for rigid, unless a marker set tells.
+pub fn learn(frames: &[Named], said: &[Said], poses: f64, noise_m: f64) -> Learned {
     let n = frames.first().map_or(0, Vec::len);
     let step = frames.len().div_ceil(FRAMES).max(1);
     let kept: Vec<&Named> = frames.iter().step_by(step).collect();
@@ -61,14 +79,22 @@ pub fn learn(frames: &[Named], believed_sd: &[f64], poses: f64, noise_m: f64) ->
     let mut spreads: Vec<f64> = seen.iter().flatten().map(|s: &Seen| s.variance.sqrt()).collect();
     spreads.sort_by(f64::total_cmp);
     let contrast = spreads.get(spreads.len() / 2).map_or(1.0, |s| (s / least).max(1.0));
+    let reach = seen.iter().flatten().map(|s| s.mean).fold(0.0, f64::max);
     let length = |i: usize| {
         let Seen { mean, variance, frames } = seen[i]?;
         // A pair that was seldom seen together was seen in few poses.
         let share = frames as f64 / kept.len() as f64;
         let poses = poses * share;
         let pooled = |worth: f64, sd: f64| ((poses * variance + worth * sd * sd) / (poses + worth)).sqrt();
-        Some(if variance.sqrt() <= RIGID * least && share >= OFTEN {
-            let sd = pooled(WORTH_RIGID / contrast, believed_sd[i]).max(least).max(noise_m);
+        let steady = variance.sqrt() <= RIGID * least && share >= OFTEN;
+        let rigid = match said[i] {
+            Said::Rigid => variance.sqrt() <= SKIN + RIGID * least,
+            Said::Soft => false,
+            Said::Unknown => steady && (contrast > MOVED || mean <= NEAR * reach),
+        };
+        Some(if rigid {
+            let believed = SKIN + BY_DISTANCE * mean;
+            let sd = pooled(WORTH_RIGID / contrast, believed).max(least).max(noise_m);
             Length { mean, sd, trust: 1.0 }
         } else {
             let sd = pooled(WORTH, LOOSE * mean).max(noise_m);

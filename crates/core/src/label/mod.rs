@@ -14,6 +14,7 @@
 
 pub mod evidence;
 pub mod learn;
+pub mod live;
 pub mod model;
 pub mod search;
 pub mod take;

@@ -83,6 +83,16 @@ fn segment(i: usize) -> &'static Segment {
     if i < SEGMENTS.len() { &SEGMENTS[i] } else { &RIGHT_FOOT }
 }
 
+/// Stature of the figure (m): soles to the top of the head.
+const STATURE: f64 = 1.79;
+/// Height of the pelvis in the T-pose (m).
+const T_POSE_ROOT: f64 = 0.93;
+/// Time from the T-pose into the motion (s).
+const INTO_MOTION_S: f64 = 1.0;
+/// How far markers are put beside their places (m, standard deviation), and how much statures differ (part).
+const CARELESS: f64 = 0.008;
+const STATURES: f64 = 0.08;
+
 /// A marker glued to a segment.
 struct Glued {
     label: String,
@@ -97,6 +107,9 @@ pub struct Body {
     motion: Motion,
     phases: Vec<f64>,
     center: Vector3<f64>,
+    /// Size, and for how long the figure stands in a T-pose first (s).
+    scale: f64,
+    t_pose_s: f64,
 }
 
 /// The figure at one moment.
@@ -123,7 +136,32 @@ impl Body {
             let place = axis * along + around * across.into_inner() * (part.radius + 0.008);
             markers.push(Glued { label: format!("{}_{}", part.name, k / N_SEGMENTS + 1), segment: i, place });
         }
-        Self { markers, motion, phases, center }
+        Self { markers, motion, phases, center, scale: 1.0, t_pose_s: 0.0 }
+    }
+
+    /// A figure that wears a marker set: names, segments and places in the T-pose (parts of the stature: forward, left,
+    /// up). It stands in the T-pose for `t_pose_s`, then moves. Markers are put on carelessly and statures differ, both
+    /// from the seed. `None` for a segment that the figure does not have.
+    pub fn wearing(
+        motion: Motion,
+        set: &[(String, String, [f64; 3])],
+        seed: u64,
+        center: Vector3<f64>,
+        t_pose_s: f64,
+    ) -> Option<Self> {
+        let mut body = Self::new(motion, 0, seed, center);
+        let mut random = Random::new(seed, u64::MAX - 1);
+        body.t_pose_s = t_pose_s;
+        body.scale = random.between(1.0 - STATURES, 1.0 + STATURES);
+        let pose = frames(&Vector3::new(0.0, 0.0, T_POSE_ROOT), &Rotation3::identity(), 1.0, t_pose);
+        for (label, name, place) in set {
+            let segment = (0..N_SEGMENTS).find(|&i| segment(i).name == name)?;
+            let world = Vector3::new(-place[1], place[0], place[2]) * STATURE;
+            let careless = Vector3::from_fn(|_, _| CARELESS * random.normal());
+            let local = pose[segment].1.inverse() * (world - pose[segment].0) + careless;
+            body.markers.push(Glued { label: label.clone(), segment, place: on_surface(segment, &local) });
+        }
+        Some(body)
     }
 
     /// Names of the markers.
@@ -133,26 +171,31 @@ impl Body {
 
     /// The figure at a time (s).
     pub fn pose(&self, time_s: f64) -> Pose {
-        let (root, heading) = self.root(time_s);
-        let mut frames: Vec<(Vector3<f64>, Rotation3<f64>)> = Vec::with_capacity(N_SEGMENTS);
-        for i in 0..N_SEGMENTS {
-            let part = segment(i);
-            let local = self.joint(i, time_s);
-            let frame = match part.parent {
-                None => (root, heading * local),
-                Some(p) => {
-                    let (start, turn) = &frames[p];
-                    (start + turn * Vector3::from(part.offset), turn * local)
-                }
-            };
-            frames.push(frame);
-        }
+        let (moving_s, share) = self.into_motion(time_s);
+        let (mut root, heading) = self.root(moving_s);
+        root.z *= self.scale;
+        let joint = |i: usize| {
+            let moved = self.joint(i, moving_s);
+            if share < 1.0 { t_pose(i).slerp(&moved, share) } else { moved }
+        };
+        let frames = frames(&root, &heading, self.scale, joint);
         let capsule = |i: usize| {
             let (start, turn) = &frames[i];
-            Capsule { ends_m: [*start, start + turn * Vector3::from(segment(i).axis)], radius_m: segment(i).radius }
+            let end = start + turn * Vector3::from(segment(i).axis) * self.scale;
+            Capsule { ends_m: [*start, end], radius_m: segment(i).radius * self.scale }
         };
-        let place = |m: &Glued| frames[m.segment].0 + frames[m.segment].1 * m.place;
+        let place = |m: &Glued| frames[m.segment].0 + frames[m.segment].1 * m.place * self.scale;
         Pose { markers_m: self.markers.iter().map(place).collect(), capsules: (0..N_SEGMENTS).map(capsule).collect() }
+    }
+
+    /// Time within the motion (s), and how much of it the pose shows: it sets out gently from the T-pose.
+    fn into_motion(&self, time_s: f64) -> (f64, f64) {
+        if self.t_pose_s <= 0.0 {
+            return (time_s, 1.0);
+        }
+        let after = ((time_s - self.t_pose_s) / INTO_MOTION_S).max(0.0);
+        let begun = after.min(1.0);
+        (INTO_MOTION_S * (after - begun + 0.5 * begun * begun), begun * begun * (3.0 - 2.0 * begun))
     }
 
     fn root(&self, t: f64) -> (Vector3<f64>, Rotation3<f64>) {
@@ -216,6 +259,46 @@ impl Body {
             }
         }
     }
+}
+
+/// Start and turn of every segment, from the root and the turns of the joints.
+fn frames(
+    root: &Vector3<f64>,
+    heading: &Rotation3<f64>,
+    scale: f64,
+    joint: impl Fn(usize) -> Rotation3<f64>,
+) -> Vec<(Vector3<f64>, Rotation3<f64>)> {
+    let mut frames: Vec<(Vector3<f64>, Rotation3<f64>)> = Vec::with_capacity(N_SEGMENTS);
+    for i in 0..N_SEGMENTS {
+        let part = segment(i);
+        let frame = match part.parent {
+            None => (*root, heading * joint(i)),
+            Some(p) => {
+                let (start, turn) = &frames[p];
+                (start + turn * Vector3::from(part.offset) * scale, turn * joint(i))
+            }
+        };
+        frames.push(frame);
+    }
+    frames
+}
+
+/// Turns of the joints in the T-pose: the arms to the sides.
+fn t_pose(i: usize) -> Rotation3<f64> {
+    let turn = match segment(i).name {
+        "upper_arm_l" => 0.25 * TAU,
+        "upper_arm_r" => -0.25 * TAU,
+        _ => 0.0,
+    };
+    Rotation3::from_axis_angle(&Vector3::y_axis(), turn)
+}
+
+/// The place on a segment's surface nearest to a place in its frame.
+fn on_surface(i: usize, place: &Vector3<f64>) -> Vector3<f64> {
+    let axis = Vector3::from(segment(i).axis);
+    let along = (place.dot(&axis) / axis.norm_squared()).clamp(0.0, 1.0);
+    let out = place - axis * along;
+    axis * along + out * ((segment(i).radius + 0.008) / out.norm().max(1e-6))
 }
 
 #[cfg(test)]

@@ -1,0 +1,16 @@
+"""Marker sets (what markers there are and where) and subjects (one person or thing that wears them)."""
+
+from markerloom.subjects.create import create_subject
+from markerloom.subjects.marker_set import MarkerSet, marker_sets, read_marker_set, write_marker_set
+from markerloom.subjects.subject import Subject, read_subject, write_subject
+
+__all__ = [
+    "MarkerSet",
+    "Subject",
+    "create_subject",
+    "marker_sets",
+    "read_marker_set",
+    "read_subject",
+    "write_marker_set",
+    "write_subject",
+]
