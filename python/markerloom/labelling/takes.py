@@ -22,8 +22,8 @@ from markerloom.track_points import track_points
 Ints = NDArray[np.int64]
 SURE = 0.9
 """Names of at least this probability teach what a subject can do."""
-FIRM = 30.0
-"""Evidence of a name that a static pose gave, in every one of its frames."""
+FIRM = 1000.0
+"""Evidence of a name that a static pose gave, in every one of its frames: more than anything else says."""
 LESSONS = 3
 """Rounds of learning at most, where a subject is known from a static pose only."""
 FEW_POSES = 6.0

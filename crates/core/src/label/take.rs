@@ -140,7 +140,7 @@ fn votes(model: &Model, plans: &[Plan], take: &Take) -> (Vec<Vec<(usize, f64)>>,
     }
     for (row, believed) in take.believed.iter().enumerate() {
         if let Some((marker, value)) = believed {
-            add(&mut votes[take.track[row]], *marker, *value);
+            add(&mut votes[take.track[row]], *marker, *value / stride as f64);
         }
     }
     let sides = said.iter().fold([0, 0], |sum, s| [sum[0] + s.1[0], sum[1] + s.1[1]]);
