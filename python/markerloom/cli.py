@@ -173,6 +173,8 @@ def simulate(
     drift_ppm: Annotated[float | None, typer.Option(help="How much slower that clock runs.")] = None,
     leds: Annotated[bool | None, typer.Option("--leds", help="Markers are LEDs that blink their identity.")] = None,
     bit_errors: Annotated[float | None, typer.Option(help="Share of the LEDs' bits that are read wrongly.")] = None,
+    marker_set: Annotated[str | None, typer.Option(help="Of figures: the marker set they wear.")] = None,
+    t_pose_s: Annotated[float | None, typer.Option("--t-pose-s", help="They stand in a T-pose first, so long.")] = None,
     video: Annotated[bool, typer.Option("--video", help="Film the take too: CAMERA.mkv for each camera.")] = False,
     marker_mm: Annotated[float, typer.Option(help="Of coverage and video: diameter of a marker.")] = 14.0,
     volume: Annotated[

@@ -8,6 +8,7 @@ calibration wand waved through the volume).
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from markerloom.observations import Observations
 from markerloom.points import Points
 from markerloom.reconstruct import Progress
 from markerloom.rig import Camera, Rig
+from markerloom.subjects.marker_set import read_marker_set
 
 EXP61_BOX_M = (0.497843, 0.788865, 0.748485)
 
@@ -59,6 +61,8 @@ class Scene:
     drift_ppm: float = 0.0
     leds: bool = False
     bit_errors: float = 0.05
+    marker_set: str = ""
+    t_pose_s: float = 0.0
 
     @property
     def has_two_clocks(self) -> bool:
@@ -141,6 +145,11 @@ def make_scene(name: str, **changes: object) -> Scene:
             raise InputError(f"{field_name} must not be negative or huge, but is {getattr(scene, field_name)}")
     if scene.has_two_clocks and scene.scene in ("exp61", "cloud"):
         raise InputError(f"the points of scene '{scene.scene}' do not move: two clocks need walk, dance, duet or wand")
+    if scene.marker_set:
+        if scene.scene not in FIGURES:
+            raise InputError(f"scene '{scene.scene}' has nobody to wear a marker set: {', '.join(FIGURES)}")
+        figures = 2 if scene.scene == "duet" else 1
+        scene = replace(scene, markers=figures * len(_worn(scene.marker_set)))
     if not 0.0 <= scene.bit_errors < 0.5:
         raise InputError(f"bit_errors must be a probability below 0.5, not {scene.bit_errors}")
     return scene
@@ -207,7 +216,10 @@ def _labels(scene: Scene) -> list[str]:
     if scene.scene not in FIGURES:
         return [f"M{i + 1:03d}" for i in range(scene.markers)]
     figures = _figures(scene)
-    names = [_core.body_labels(motion, markers, seed) for motion, markers, seed, _ in figures]
+    if scene.marker_set:
+        names = [list(read_marker_set(scene.marker_set).markers) for _ in figures]
+    else:
+        names = [_core.body_labels(motion, markers, seed) for motion, markers, seed, _ in figures]
     if len(figures) == 1:
         return names[0]
     return [f"{person}:{name}" for person, own in zip("AB", names, strict=True) for name in own]
@@ -235,10 +247,28 @@ def _markers(scene: Scene, frame: float) -> Pose:
     markers: list[list[float]] = []
     capsules: list[Capsule] = []
     for motion, count, seed, center in _figures(scene):
-        own = _core.body_pose(motion, count, seed, center, time_s)
+        if scene.marker_set:
+            own = _core.wearing_pose(motion, _worn(scene.marker_set), seed, center, scene.t_pose_s, time_s)
+        else:
+            own = _core.body_pose(motion, count, seed, center, time_s)
         markers += own[0]
         capsules += own[1]
     return markers, capsules
+
+
+@cache
+def _worn(marker_set: str) -> list[tuple[str, str, list[float]]]:
+    """A marker set as the figure wears it: names, segments of the figure, places."""
+    worn = read_marker_set(marker_set)
+    if not np.isfinite(worn.places).all():
+        raise InputError(f"marker set '{marker_set}' has no places on the body: nobody can wear it")
+    rows = zip(worn.markers, worn.segments, worn.places.tolist(), strict=True)
+    return [(name, _segment_of_figure(segment), place) for name, segment, place in rows]
+
+
+def _segment_of_figure(segment: str) -> str:
+    side, _, part = segment.partition("_")
+    return f"{part}_{side[0]}" if side in ("left", "right") else segment
 
 
 WAVES_HZ = (0.11, 0.17, 0.29, 0.41)

@@ -32,6 +32,8 @@ ARMS_DEG = (0.0, 20.0, 45.0, 70.0)
 BENDS = 24
 FIRST_REACH, LAST_REACH = 0.25, 0.05
 """How far from its place a marker may be, and how far a pull reaches, as parts of the stature; first and last."""
+GUESSED_M = 0.025
+"""How well the set's body says where a marker is that was not seen (m)."""
 FOUND = 0.7
 """Share of the markers that must be found for the set to fit."""
 CLEARLY = 0.9
@@ -52,14 +54,23 @@ def name_static_pose(points: Points, marker_set: MarkerSet) -> tuple[Subject, li
     rows = _still(points, len(marker_set))
     tracks, own = np.unique(points.track[rows], return_inverse=True)
     standing_mm = np.array([np.median(points.xyz_mm[rows][own == i], axis=0) for i in range(len(tracks))])
-    found = _fit(standing_mm, marker_set, points.source)
+    found, place_mm = _fit(standing_mm, marker_set, points.source)
     marker_of = {int(tracks[p]): m for m, p in found.items()}
     named = [(int(r), marker_of[int(points.track[r])]) for r in rows if int(points.track[r]) in marker_of]
     frames = np.unique(points.frame[rows])
     xyz_m = np.full((len(frames), len(marker_set), 3), np.nan)
     for row, marker in named:
         xyz_m[np.searchsorted(frames, points.frame[row]), marker] = points.xyz_mm[row] / 1000.0
+    # A marker that is hidden here may be seen later: it is expected where the set's body has it.
+    hidden = ~np.isfinite(xyz_m).all(axis=2).any(axis=0)
+    xyz_m[:, hidden] = place_mm[hidden] / 1000.0
     distances, heights, poses = learned(xyz_m, marker_set.same_segment(), points.rate_hz)
+    n = len(marker_set)
+    distances = [
+        (d[0], max(d[1], GUESSED_M), d[2]) if d is not None and (hidden[i // n] or hidden[i % n]) else d
+        for i, d in enumerate(distances)
+    ]
+    heights = [[] if hidden[m] else [h for h in own if not hidden[h[0]].any()] for m, own in enumerate(heights)]
     subject = Subject(
         "subject", marker_set.markers, marker_set.segments, distances, heights, poses, marker_set=marker_set.name
     )
@@ -89,28 +100,28 @@ def _still(points: Points, markers: int) -> NDArray[np.int64]:
     return best[1]
 
 
-def _fit(standing_mm: Array, marker_set: MarkerSet, source: str) -> dict[int, int]:
-    """Of each marker of the set its point, where it has one."""
+def _fit(standing_mm: Array, marker_set: MarkerSet, source: str) -> tuple[dict[int, int], Array]:
+    """Of each marker of the set its point, where it has one; and where the bent body has every marker (mm)."""
     tries = [
         (*_bent(standing_mm, marker_set, heading, arms), heading)
         for heading in _headings(standing_mm)
         for arms in ARMS_DEG
     ]
     tries.sort(key=lambda t: t[0])
-    score, found, heading = tries[0]
+    score, found, place, heading = tries[0]
     if len(found) < FOUND * len(marker_set):
         missing = [m for i, m in enumerate(marker_set.markers) if i not in found]
         raise InputError(
             f"marker set '{marker_set.name}' does not fit the pose: {len(found)} of {len(marker_set)} markers found;"
             f" nowhere: {', '.join(missing[:8])}{' …' if len(missing) > 8 else ''} ({source})"
         )
-    other = next((t[0] for t in tries if t[2] != heading), np.inf)
+    other = next((t[0] for t in tries if t[3] != heading), np.inf)
     if score > CLEARLY * other:
         raise InputError(
             f"the pose does not tell front from back with marker set '{marker_set.name}': name a few frames by hand and"
             f" make a subject from them ({source})"
         )
-    return found
+    return found, place
 
 
 def _headings(standing_mm: Array) -> tuple[float, float]:
@@ -123,8 +134,8 @@ def _headings(standing_mm: Array) -> tuple[float, float]:
 
 def _bent(
     standing_mm: Array, marker_set: MarkerSet, heading: float, arms_deg: float
-) -> tuple[float, dict[int, int]]:
-    """How badly the distances fit after bending the body onto the points, and the markers that were found."""
+) -> tuple[float, dict[int, int], Array]:
+    """How badly the distances fit after bending the body onto the points, the markers that were found, and the body."""
     body = _posed(marker_set, arms_deg)
     low, high = np.percentile(standing_mm[:, 2], [2, 98])
     bottom, top = np.percentile(body[:, 2], [2, 98])
@@ -138,7 +149,7 @@ def _bent(
         reach = stature * FIRST_REACH * (LAST_REACH / FIRST_REACH) ** (step / (BENDS - 1))
         markers, found = _assigned(place, standing_mm, reach)
         if len(markers) < 4:
-            return np.inf, {}
+            return np.inf, {}, place
         if step < BENDS // 3:
             whole = place = _as_a_whole(first, markers, standing_mm[found])
         else:
@@ -147,7 +158,7 @@ def _bent(
             place = place + near @ pull / (near.sum(axis=1, keepdims=True) + 0.3)
     markers, found = _assigned(place, standing_mm, stature * LAST_REACH)
     if len(markers) < 4:
-        return np.inf, {}
+        return np.inf, {}, place
     expected = cdist(body[markers], body[markers]) * stature
     off = np.abs(cdist(standing_mm[found], standing_mm[found]) - expected) / (0.02 * stature + 0.1 * expected)
     # A flat body keeps its distances when it is turned about; what stands out of it, such as the face, does not.
@@ -155,7 +166,7 @@ def _bent(
     missing = (len(marker_set) - len(markers)) / len(marker_set)
     score = float(np.minimum(off, 3.0)[~np.eye(len(markers), dtype=bool)].mean()) + 3.0 * missing
     score += float(np.minimum(beside, 3.0).mean())
-    return score, dict(zip(markers.tolist(), found.tolist(), strict=True))
+    return score, dict(zip(markers.tolist(), found.tolist(), strict=True)), place
 
 
 def _posed(marker_set: MarkerSet, arms_deg: float) -> Array:

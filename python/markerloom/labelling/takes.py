@@ -26,7 +26,7 @@ FIRM = 1000.0
 """Evidence of a name that a static pose gave, in every one of its frames: more than anything else says."""
 LESSONS = 3
 """Rounds of learning at most, where a subject is known from a static pose only."""
-FEW_POSES = 6.0
+FEW_POSES = 20.0
 """A subject of fewer poses learns from the take itself."""
 FITS = 0.3
 """Share of the samples expected of a subject below which it does not fit the take."""

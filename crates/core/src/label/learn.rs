@@ -20,11 +20,14 @@ const WORTH_RIGID: f64 = 0.9;
 const WORTH: f64 = 1.0;
 /// Poses after which half of what is seen of a pair that is not rigid is trusted.
 const HALF_TRUSTED: f64 = 10.0;
+/// The same for the side of a triangle on which a marker stands: it changes in fewer poses than a distance does.
+const HALF_TRUSTED_SIDE: f64 = 2.0;
 /// A pair is taken for rigid when its spread is at most this many times that of the body's most rigid pairs.
 const RIGID: f64 = 2.5;
-/// Spread of a rigid pair before any frame was seen (m), and by its distance.
+/// Spread of a rigid pair before any frame was seen (m), and by its distance: without and with a marker set's word.
 const SKIN: f64 = 0.005;
 const BY_DISTANCE: f64 = 0.15;
+const BY_DISTANCE_SAID: f64 = 0.05;
 /// The body has moved when its distances vary this many times more than its most rigid ones; where it has not, pairs up
 /// to this part of its reach are taken for rigid.
 const MOVED: f64 = 3.0;
@@ -93,7 +96,8 @@ pub fn learn(frames: &[Named], said: &[Said], poses: f64, noise_m: f64) -> Learn
             Said::Unknown => steady && (contrast > MOVED || mean <= NEAR * reach),
         };
         Some(if rigid {
-            let believed = SKIN + BY_DISTANCE * mean;
+            let by_distance = if said[i] == Said::Rigid { BY_DISTANCE_SAID } else { BY_DISTANCE };
+            let believed = SKIN + by_distance * mean;
             let sd = pooled(WORTH_RIGID / contrast, believed).max(least).max(noise_m);
             Length { mean, sd, trust: 1.0 }
         } else {
@@ -102,7 +106,7 @@ pub fn learn(frames: &[Named], said: &[Said], poses: f64, noise_m: f64) -> Learn
         })
     };
     let distances: Vec<Option<Length>> = (0..n * n).map(length).collect();
-    let heights = (0..n).map(|m| heights_of(m, n, &kept, &distances, noise_m)).collect();
+    let heights = (0..n).map(|m| heights_of(m, &kept, &distances, (poses, noise_m))).collect();
     Learned { distances, heights }
 }
 
@@ -182,7 +186,13 @@ fn robust(mut values: Vec<f64>) -> Option<Seen> {
     Some(Seen { mean, variance, frames: values.len() })
 }
 
-fn heights_of(m: usize, n: usize, frames: &[&Named], distances: &[Option<Length>], noise_m: f64) -> Vec<Height> {
+fn heights_of(
+    m: usize,
+    frames: &[&Named],
+    distances: &[Option<Length>],
+    (poses, noise_m): (f64, f64),
+) -> Vec<Height> {
+    let n = frames.first().map_or(0, |f| f.len());
     let mut near: Vec<usize> = (0..n).filter(|&o| o != m && distances[m * n + o].is_some()).collect();
     let sd = |o: usize| distances[m * n + o].map_or(f64::INFINITY, |l| l.sd);
     near.sort_by(|&a, &b| sd(a).total_cmp(&sd(b)).then(a.cmp(&b)));
@@ -192,7 +202,7 @@ fn heights_of(m: usize, n: usize, frames: &[&Named], distances: &[Option<Length>
         for j in i + 1..near.len() {
             for k in j + 1..near.len() {
                 let base = [near[i], near[j], near[k]];
-                found.extend(height(m, base, frames, distances, noise_m));
+                found.extend(height(m, base, frames, distances, (poses, noise_m)));
             }
         }
     }
@@ -207,13 +217,14 @@ fn height(
     base: [usize; 3],
     frames: &[&Named],
     distances: &[Option<Length>],
-    noise_m: f64,
+    (poses, noise_m): (f64, f64),
 ) -> Option<(f64, Height)> {
     let n = frames.first()?.len();
     let [a, b, c] = base;
     let lengths = [(m, a), (m, b), (m, c), (a, b), (a, c), (b, c)].map(|(i, j)| distances[i * n + j]);
     let softest = lengths[..3].iter().flatten().map(|l| l.sd).fold(0.0, f64::max);
-    let trust = lengths.iter().map(|l| l.map_or(0.0, |l| l.trust)).fold(1.0, f64::min);
+    let rigid = lengths.iter().all(|l| l.is_some_and(|l| l.trust >= 1.0));
+    let trust = if rigid { 1.0 } else { poses / (poses + HALF_TRUSTED_SIDE) };
     let mut areas = Vec::new();
     let mut seen = Vec::new();
     for frame in frames {

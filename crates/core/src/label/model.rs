@@ -221,7 +221,8 @@ impl Around {
             return counted;
         }
         let over = self.planes.iter().filter(|p| !p.base.contains(&point)).take(HEIGHTS);
-        let told = over.map(|p| p.term.evidence(p.normal.dot(at) - p.offset));
+        // The right side is no evidence by itself, or markers with triangles would have more of it than others.
+        let told = over.map(|p| (p.term.evidence(p.normal.dot(at) - p.offset) - p.term.peak).max(p.term.floor));
         let (sum, count) = told.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
         if count > 0.0 { counted + sum / count } else { counted }
     }

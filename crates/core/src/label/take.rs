@@ -9,7 +9,7 @@
 //!
 //! Cost: samples × markers × points; in parallel over samples, with the same result for any number of threads.
 
-use super::evidence::{Frame, Names, Naming, best};
+use super::evidence::{Frame, Names, Naming, at_point, best};
 use super::model::Model;
 use super::search::{Plan, search_all};
 use nalgebra::Vector3;
@@ -23,9 +23,14 @@ const KEYS: usize = 24;
 const ALIKE_S: f64 = 0.1;
 /// What a change of name along a trajectory costs.
 const CHANGE: f64 = 14.0;
+/// Evidence that does not tell two names apart: lengths that are a little off are so in every frame.
+const MARGIN: f64 = 2.0;
 /// Names of a trajectory that are followed, and rounds, at most.
 const FOLLOWED: usize = 8;
 const ROUNDS: usize = 4;
+/// Passes in which near markers may exchange their names, and how many near ones of each.
+const EXCHANGES: usize = 3;
+const EXCHANGED: usize = 3;
 
 /// The points of a take.
 pub struct Take<'a> {
@@ -61,6 +66,9 @@ struct Sample {
     candidates: Vec<Vec<(usize, f64)>>,
 }
 
+/// Of each point of a sample: markers, and the score of each.
+type Scores = Vec<Vec<(usize, f64)>>;
+
 /// Name the rows of a take.
 pub fn label_take(model: &Model, plans: &[Plan], take: &Take) -> Labelled {
     let frames = sampled(take);
@@ -69,29 +77,105 @@ pub fn label_take(model: &Model, plans: &[Plan], take: &Take) -> Labelled {
         .par_iter()
         .map(|&frame| Sample { frame, names: by_votes(model, take, frame, &votes), candidates: Vec::new() })
         .collect();
+    let mut scores = name_anew(model, take, &mut samples);
+    for _ in 0..EXCHANGES {
+        if !exchange(model, take, &mut samples) {
+            break;
+        }
+        scores = name_anew(model, take, &mut samples);
+    }
+    spread_out(take, &samples, &scores, mirrored)
+}
+
+/// Name every sample by what speaks for whom along the trajectories, given the names so far, until they stand.
+fn name_anew(model: &Model, take: &Take, samples: &mut [Sample]) -> Vec<Scores> {
     let mut scores = Vec::new();
     for _ in 0..ROUNDS {
         samples.par_iter_mut().for_each(|sample| weigh(model, take, sample));
-        scores = along_tracks(take, &samples);
-        let next: Vec<Names> = samples
-            .par_iter()
-            .zip(&scores)
-            .map(|(sample, own)| {
-                let points = rows(take, sample.frame).len();
-                let mut values = vec![0.0; model.len() * points];
-                for (point, candidates) in own.iter().enumerate() {
-                    candidates.iter().for_each(|&(m, s)| values[m * points + point] = s);
-                }
-                best(&values, model.len(), points, 0.0)
-            })
-            .collect();
+        scores = along_tracks(take, samples);
+        let by_score = |(sample, own): (&Sample, &Scores)| {
+            let points = rows(take, sample.frame).len();
+            let mut values = vec![0.0; model.len() * points];
+            for (point, candidates) in own.iter().enumerate() {
+                candidates.iter().for_each(|&(m, s)| values[m * points + point] = s);
+            }
+            best(&values, model.len(), points, 0.0)
+        };
+        let next: Vec<Names> = samples.par_iter().zip(&scores).map(by_score).collect();
         let stands = samples.iter().zip(&next).all(|(s, n)| s.names == *n);
         samples.iter_mut().zip(next).for_each(|(s, n)| s.names = n);
         if stands {
             break;
         }
     }
-    spread_out(take, &samples, &scores, mirrored)
+    scores
+}
+
+/// Exchange the names of two near markers over the stretches of time in which more speaks for that. One by one neither
+/// would change: each is wrong by the other. Returns whether any did.
+fn exchange(model: &Model, take: &Take, samples: &mut [Sample]) -> bool {
+    let near = |a: usize| model.near(a).iter().copied().take(EXCHANGED);
+    let pairs: Vec<(usize, usize)> =
+        (0..model.len()).flat_map(|a| near(a).filter(move |&b| a < b || !near(b).any(|o| o == a)).map(move |b| (a, b))).collect();
+    let mut found: Vec<(f64, (usize, usize), Vec<usize>)> = pairs
+        .par_iter()
+        .filter_map(|&pair| {
+            let (gain, stretch) = exchanged(model, take, samples, pair);
+            (!stretch.is_empty()).then_some((gain, pair, stretch))
+        })
+        .collect();
+    found.sort_by(|x, y| y.0.total_cmp(&x.0).then(x.1.cmp(&y.1)));
+    let mut changed = vec![false; model.len()];
+    for (_, (a, b), stretch) in &found {
+        if !changed[*a] && !changed[*b] {
+            (changed[*a], changed[*b]) = (true, true);
+            stretch.iter().for_each(|&i| samples[i].names.swap(*a, *b));
+        }
+    }
+    !found.is_empty()
+}
+
+/// Samples in which two markers should have each other's place, and what is gained by it all.
+fn exchanged(model: &Model, take: &Take, samples: &[Sample], (a, b): (usize, usize)) -> (f64, Vec<usize>) {
+    let both: Vec<usize> =
+        (0..samples.len()).filter(|&i| samples[i].names[a].is_some() && samples[i].names[b].is_some()).collect();
+    let gains: Vec<f64> = both
+        .iter()
+        .enumerate()
+        .map(|(k, &i)| {
+            let (Some(p), Some(q)) = (samples[i].names[a], samples[i].names[b]) else { return 0.0 };
+            let frame = Frame::new(&take.points[rows(take, samples[i].frame)]);
+            let mut names = samples[i].names.clone();
+            let now = at_point(model, &frame, &names, a, p) + at_point(model, &frame, &names, b, q);
+            names.swap(a, b);
+            let then = at_point(model, &frame, &names, a, q) + at_point(model, &frame, &names, b, p);
+            let before = if k == 0 { f64::INFINITY } else { seconds(take, samples, both[k - 1], i) };
+            // Two markers, and each of them may be off a little.
+            let clear = (then - now).signum() * ((then - now).abs() - 2.0 * MARGIN).max(0.0);
+            before.min(ALIKE_S) / ALIKE_S * clear
+        })
+        .collect();
+    let kept_or_not = two_ways(&gains);
+    let gain = gains.iter().zip(&kept_or_not).filter(|x| *x.1).map(|x| x.0).sum();
+    (gain, both.iter().zip(&kept_or_not).filter(|x| *x.1).map(|x| *x.0).collect())
+}
+
+/// Where it pays to be in the second of two states, a change of state having its cost (Viterbi).
+fn two_ways(gains: &[f64]) -> Vec<bool> {
+    let mut reached = [0.0, -CHANGE];
+    let mut came = Vec::with_capacity(gains.len());
+    for &gain in gains {
+        let from = [reached[1] - CHANGE > reached[0], reached[0] - CHANGE <= reached[1]];
+        came.push(from);
+        reached = [reached[0].max(reached[1] - CHANGE), reached[1].max(reached[0] - CHANGE) + gain];
+    }
+    let mut state = reached[1] > reached[0];
+    let mut states = vec![false; gains.len()];
+    for k in (0..gains.len()).rev() {
+        states[k] = state;
+        state = came[k][usize::from(state)];
+    }
+    states
 }
 
 fn rows(take: &Take, frame: usize) -> std::ops::Range<usize> {
@@ -183,16 +267,16 @@ fn weigh(model: &Model, take: &Take, sample: &mut Sample) {
 }
 
 /// Of each sample and point: the score of the best path of its trajectory through every name, over that through none.
-fn along_tracks(take: &Take, samples: &[Sample]) -> Vec<Vec<Vec<(usize, f64)>>> {
+fn along_tracks(take: &Take, samples: &[Sample]) -> Vec<Scores> {
     let mut of_track: Vec<Vec<(usize, usize)>> = vec![Vec::new(); take.tracks];
     for (i, sample) in samples.iter().enumerate() {
         for (p, row) in rows(take, sample.frame).enumerate() {
             of_track[take.track[row]].push((i, p));
         }
     }
-    let mut scores: Vec<Vec<Vec<(usize, f64)>>> =
+    let mut scores: Vec<Scores> =
         samples.iter().map(|s| vec![Vec::new(); s.candidates.len()]).collect();
-    let found: Vec<Vec<Vec<(usize, f64)>>> =
+    let found: Vec<Scores> =
         of_track.par_iter().map(|visits| path_scores(take, samples, visits)).collect();
     for (visits, own) in of_track.iter().zip(found) {
         for (&(i, p), candidates) in visits.iter().zip(own) {
@@ -220,7 +304,9 @@ fn path_scores(take: &Take, samples: &[Sample], visits: &[(usize, usize)]) -> Ve
             // Alone in its surroundings a sample counts in full; among others by its share of the time.
             let weight = (0.5 * (before.min(ALIKE_S) + after.min(ALIKE_S)) / ALIKE_S).min(1.0);
             let value = |m: usize| samples[i].candidates[p].iter().find(|c| c.0 == m).map_or(OTHERWISE, |c| c.1);
-            markers.iter().map(|&m| weight * value(m)).chain([0.0]).collect()
+            let most = markers.iter().map(|&m| value(m)).fold(0.0, f64::max);
+            let clearly = |value: f64| weight * (value + MARGIN).min(most);
+            markers.iter().map(|&m| clearly(value(m))).chain([clearly(0.0)]).collect()
         })
         .collect();
     let run = |order: &mut dyn Iterator<Item = usize>| {
