@@ -1,0 +1,215 @@
+"""Gaps of a take, filled: each by the method that would have filled others like it best."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from markerloom.errors import InputError
+from markerloom.filling.auto import SHAPE, Choice, choose, expected, learnable, thinned
+from markerloom.filling.methods import METHODS, TRIED, Gap
+from markerloom.filling.surroundings import FEWEST, Surroundings, spreads, surroundings
+from markerloom.points import KINDS, Points
+from markerloom.reconstruct import Progress
+from markerloom.trajectories import ABSENT, FILLED, Trajectories
+
+Array = NDArray[np.floating[Any]]
+
+LONGEST_S = 2.0
+PREDICTED = KINDS.index("predicted")
+ALIKE_S = 15.0
+"""Gaps of one marker within this time share a choice, when their lengths are of one size (s)."""
+POOLED = 3.0
+"""What the errors that are usual for gaps of a size are worth, in stretches."""
+UNTRIED_MM = 10.0
+"""Uncertainty where there was nothing to try a method on, growing with the length of the gap."""
+
+
+@dataclass(frozen=True)
+class Filled(Points):
+    """A take with its gaps filled. ``report``: every gap, how it was filled, and the expected error."""
+
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Hole:
+    slot: int
+    first: int
+    last: int
+
+
+def fill(
+    points: Points,
+    *,
+    method: str = "auto",
+    longest_s: float = LONGEST_S,
+    rate_hz: float | None = None,
+    markers: list[str] | None = None,
+    predicted: bool = False,
+    progress: Progress | None = None,
+) -> Filled:
+    """Fill the gaps of a take.
+
+    ``method``: ``auto`` mixes the others as would have been best on stretches like the gap, in that marker's own
+    neighbourhood; or one of constant, linear, cubic, quintic, pattern, rigid, links, regression, cyclic. Gaps longer
+    than ``longest_s`` stay, as do beginnings and ends; nothing is held or extrapolated unless ``constant`` is asked
+    for. ``markers``: only these. ``predicted``: fill anew what a tracker carried. Filled samples are of kind ``filled``
+    with their ``sigma_mm``. Raises ``InputError`` for an unknown method or marker, or without a frame rate.
+    """
+    clock = time.perf_counter()
+    if method != "auto" and method not in METHODS:
+        raise InputError(f"method '{method}': auto, {', '.join(METHODS)}")
+    rate = points.rate_hz if rate_hz is None else rate_hz
+    if rate is None or not 0 < rate < 1e6:
+        raise InputError(f"filling needs the frame rate: state it with --rate-hz ({points.source})")
+    points = replace(points, rate_hz=rate)
+    if predicted:
+        points = points.keep(points.kind != PREDICTED)
+    take = Trajectories.of(points)
+    slots = _slots(take, markers)
+    holes = [hole for slot in slots for hole in _holes(take, slot)]
+    longest = round(longest_s * rate)
+    todo = [hole for hole in holes if hole.last - hole.first <= longest]
+    xyz_mm, sigma_mm, kind = take.xyz_mm.copy(), take.sigma_mm.copy(), take.kind.copy()
+    methods = TRIED if method == "auto" else (method,)
+    rows: list[dict[str, Any]] = []
+    plans = _plans(take, todo, methods, rate, progress)
+    for plan in plans:
+        result = _filled(take, plan, _pooled_mm(plans, plan.size))
+        if result is not None:
+            inside = (slice(plan.hole.first, plan.hole.last), plan.hole.slot)
+            xyz_mm[inside], sigma_mm[inside], how = result
+            kind[inside] = FILLED
+            rows.append({**_described(take, plan.hole), **how})
+    filled = take.changed(xyz_mm, sigma_mm, kind).as_points()
+    done = {(r["marker"], r["first"]) for r in rows}
+    left = [d for d in (_described(take, hole) for hole in holes) if (d["marker"], d["first"]) not in done]
+    report = {
+        "frames": len(take.frames),
+        "warnings": _warnings(left, longest_s),
+        "method": method,
+        "longest_s": longest_s,
+        "gaps": len(holes),
+        "filled": rows,
+        "left": left,
+        "complete_before": float(np.mean(take.present[:, slots])) if slots else 1.0,
+        "complete_after": float(np.mean(kind[:, slots] != ABSENT)) if slots else 1.0,
+        "timing": {"seconds": time.perf_counter() - clock},
+    }
+    columns = {name: getattr(filled, name) for name in Points.__dataclass_fields__}
+    return Filled(**columns, report=report)
+
+
+def _slots(take: Trajectories, markers: list[str] | None) -> list[int]:
+    """Trajectories to fill: those with a name; all, where none has one."""
+    if markers is not None:
+        unknown = sorted(set(markers) - set(take.names))
+        if unknown:
+            raise InputError(f"the take has no marker '{unknown[0]}'; it has {', '.join(take.names[:12])} …")
+        return [take.names.index(m) for m in markers]
+    named = [i for i, name in enumerate(take.names) if not name.startswith("*")]
+    return named or list(range(len(take.names)))
+
+
+def _holes(take: Trajectories, slot: int) -> list[_Hole]:
+    """Gaps between the first and the last sample."""
+    seen = np.flatnonzero(take.present[:, slot])
+    jumps = np.flatnonzero(np.diff(seen) > 1)
+    return [_Hole(slot, int(seen[j]) + 1, int(seen[j + 1])) for j in jumps]
+
+
+def _described(take: Trajectories, hole: _Hole) -> dict[str, Any]:
+    first, last = int(take.frames[hole.first]), int(take.frames[hole.last - 1])
+    return {"marker": take.names[hole.slot], "first": first, "last": last, "frames": hole.last - hole.first}
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A gap with its surroundings and how it will be filled."""
+
+    hole: _Hole
+    around: Surroundings
+    size: int
+    choice: Choice
+    tried: bool
+
+
+def _plans(
+    take: Trajectories, holes: list[_Hole], methods: tuple[str, ...], rate_hz: float, progress: Progress | None
+) -> list[_Plan]:
+    """How every gap will be filled; gaps of one marker that are alike and near each other share what was tried."""
+    known: dict[tuple[int, int, int, bytes], Choice | None] = {}
+    spread = spreads(take.xyz_mm) if holes else np.zeros((0, 0))
+    plans = []
+    for number, hole in enumerate(holes):
+        hidden = ~take.present[max(0, hole.first - 1) : hole.last + 1].all(axis=0)
+        around = surroundings(take.xyz_mm, hole.slot, hole.first, hole.last, spread, rate_hz, hidden)
+        size = round(2.0 * np.log2(hole.last - hole.first))
+        key = (hole.slot, size, int(hole.first / (ALIKE_S * rate_hz)), around.neighbours.tobytes())
+        if key not in known:
+            own = take.xyz_mm[:, hole.slot]
+            known[key] = choose(around, own, hole.first, hole.last, methods, rate_hz)
+        length_s = (hole.last - hole.first) / rate_hz
+        plans.append(_Plan(hole, around, size, known[key] or _untried(around, methods, length_s), known[key] is not None))
+        if progress:
+            progress(number + 1, len(holes))
+    return plans
+
+
+def _pooled_mm(plans: list[_Plan], size: int) -> float:
+    """The usual expected error of gaps of about this size (rms, mm)."""
+    errors = [p.choice.error_mm for p in plans if p.tried and abs(p.size - size) <= 1]
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0
+
+
+def _filled(take: Trajectories, plan: _Plan, pooled_mm: float) -> tuple[Array, Array, dict[str, Any]] | None:
+    """Places, sigmas, and how they were found; ``None`` where no method can."""
+    hole, choice = plan.hole, plan.choice
+    own = take.xyz_mm[:, hole.slot]
+    learn = thinned(learnable(plan.around), plan.around, hole.first, hole.last)
+    gap = Gap(plan.around, own, hole.first, hole.last, learn)
+    parts = {m: METHODS[m](gap) for m in choice.weights}
+    found = {m: p for m, p in parts.items() if p is not None and np.isfinite(p).all()}
+    if not found:
+        return None
+    total = sum(choice.weights[m] for m in found)
+    place = np.sum([choice.weights[m] / total * p for m, p in found.items()], axis=0)
+    over = np.linspace(0.0, 1.0, hole.last - hole.first)
+    own_sigma = take.sigma_mm[:, hole.slot]
+    noise = float(np.nanmedian(own_sigma)) if np.isfinite(own_sigma).any() else 0.0
+    # Few stretches may all have been easy: a part of what is usual for gaps of this size goes in.
+    n = choice.stretches
+    error = np.sqrt((n * choice.error_mm**2 + POOLED * pooled_mm**2) / (n + POOLED)) if plan.tried else choice.error_mm
+    shape_mm = choice.shape_mm * error / max(choice.error_mm, 1e-9)
+    sigma_mm = np.hypot(np.interp(over, SHAPE, shape_mm), noise)
+    how = {
+        "method": choice.method,
+        "weights": {m: round(choice.weights[m] / total, 3) for m in found},
+        "expected_mm": round(float(error), 3),
+        "tried": plan.tried,
+    }
+    return place, sigma_mm, how
+
+
+def _untried(around: Surroundings, methods: tuple[str, ...], length_s: float) -> Choice:
+    """A choice where nothing could be tried: what is usually best, with a large uncertainty."""
+    usable = [m for m in methods if len(around.neighbours) >= FEWEST or m in ("constant", "linear", "cubic", "quintic")]
+    error = expected(usable or list(methods), length_s)
+    best = (usable or list(methods))[int(np.argmin(error))]
+    guess = UNTRIED_MM * (1.0 + length_s) * float(min(error.min(), 10.0))
+    return Choice({best: 1.0}, guess, np.full(len(SHAPE), guess))
+
+
+def _warnings(left: list[dict[str, Any]], longest_s: float) -> list[str]:
+    if not left:
+        return []
+    worst = max(left, key=lambda d: d["frames"])
+    return [
+        f"{len(left)} gaps stay: longer than {longest_s:g} s, or nothing to fill them from; the longest is "
+        f"'{worst['marker']}', frames {worst['first']} to {worst['last']}"
+    ]
