@@ -32,15 +32,29 @@ from markerloom.evaluate import (
     truth_without_views,
 )
 from markerloom.explain import CameraView, Explanation, TrackedTake, explain
+from markerloom.filling import Filled, fill
 from markerloom.formats import read_observations, read_points, write_calibration, write_points
 from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
 from markerloom.knock import knock
+from markerloom.labelling import Checked, Labelled, Labeller, check_labels, label, repair_labels
 from markerloom.observations import Observations
 from markerloom.points import Points
+from markerloom.project import Project, process, read_project
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Lens, Mask, Rig
 from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
+from markerloom.smoothing import Smoothed, smooth
+from markerloom.subjects import (
+    MarkerSet,
+    Subject,
+    create_subject,
+    marker_sets,
+    read_marker_set,
+    read_subject,
+    write_marker_set,
+    write_subject,
+)
 from markerloom.sync import Clock, Synced, sync
 from markerloom.track import TrackedFrame, Tracker, track
 from markerloom.track_page import save_track_page
@@ -52,20 +66,28 @@ __all__ = [
     "Calibration",
     "Camera",
     "CameraView",
+    "Checked",
     "Clock",
     "Coverage",
     "Demo",
     "Explanation",
+    "Filled",
     "GreyBlob",
+    "Labelled",
+    "Labeller",
     "Lens",
+    "MarkerSet",
     "Mask",
     "Observations",
     "Points",
+    "Project",
     "Reconstruction",
     "Rig",
     "RigStream",
     "Scene",
     "SimulatedTake",
+    "Smoothed",
+    "Subject",
     "Synced",
     "TrackedFrame",
     "TrackedTake",
@@ -79,9 +101,11 @@ __all__ = [
     "calibrate_origin",
     "calibrate_points",
     "calibrate_wand",
+    "check_labels",
     "check_rig",
     "convert",
     "coverage",
+    "create_subject",
     "demo",
     "detect",
     "detect_markers",
@@ -89,32 +113,41 @@ __all__ = [
     "detected",
     "evaluate",
     "explain",
+    "fill",
     "fit_grey_blobs",
     "grey_images",
     "inspect",
     "knock",
+    "label",
     "learn_mask",
     "led_codes",
     "leds",
     "make_scene",
+    "marker_sets",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",
+    "process",
     "read_board",
     "read_calibration",
     "read_grey_blobs",
+    "read_marker_set",
     "read_mask",
     "read_observations",
     "read_points",
+    "read_project",
+    "read_subject",
     "read_wand",
     "reconstruct",
     "refine_rig",
+    "repair_labels",
     "save",
     "save_calibration_page",
     "save_coverage",
     "save_track_page",
     "save_videos",
     "simulate",
+    "smooth",
     "sync",
     "track",
     "triangulate",
@@ -123,7 +156,9 @@ __all__ = [
     "truth_without_views",
     "two_rays",
     "write_calibration",
+    "write_marker_set",
     "write_points",
+    "write_subject",
 ]
 
 

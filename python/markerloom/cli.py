@@ -33,10 +33,13 @@ from markerloom.errors import InputError, MarkerloomError
 from markerloom.evaluate import Truth, truth_from_assignments, truth_from_observations, truth_without_views
 from markerloom.evaluate import evaluate as run_evaluate
 from markerloom.explain import TrackedTake
+from markerloom.filling.cli import fill, smooth
 from markerloom.formats import table_file
 from markerloom.from_pixels import rows as whole_way_rows
 from markerloom.inspect import inspect as run_inspect
+from markerloom.labelling.cli import frame_range, label, subject_app
 from markerloom.observations import Observations
+from markerloom.project.cli import process
 from markerloom.reconstruct import Progress
 from markerloom.reconstruct import reconstruct as run_reconstruct
 from markerloom.rig import Rig
@@ -49,7 +52,9 @@ from markerloom.track_page import save_track_page
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
-app.command()(sync)
+app.add_typer(subject_app, name="subject")
+for verb in (sync, label, fill, smooth, process):
+    app.command()(verb)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
 
@@ -81,19 +86,6 @@ def progress_bar(title: str, quiet: bool) -> Iterator[Progress | None]:
     with Bar(console=err, transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def frame_range(text: str | None) -> tuple[int | None, int | None] | None:
-    """``A:B`` as two numbers, either of which may be missing."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        return (int(first) if first else None, int(last) if last else None)
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not A:B, such as 0:400 or 100:", param_hint="--frames") from None
 
 
 def say(quiet: bool, text: str) -> None:

@@ -92,9 +92,7 @@ def surroundings(
     return Surroundings(marker, neighbours, frames, xyz_mm[frames, marker], local, features, places, turn, middle)
 
 
-def _neighbours(
-    xyz_mm: Array, marker: int, first: int, last: int, spread: Array, hidden: NDArray[np.bool_]
-) -> Ints:
+def _neighbours(xyz_mm: Array, marker: int, first: int, last: int, spread: Array, hidden: NDArray[np.bool_]) -> Ints:
     """The most rigid neighbours that are there during the gap and beside it, the first three of which span a plane."""
     inside = slice(max(0, first - 1), min(len(xyz_mm), last + 1))
     usable = np.isfinite(xyz_mm[inside]).all(axis=(0, 2)) & ~hidden & np.isfinite(spread[marker])

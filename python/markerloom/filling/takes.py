@@ -155,7 +155,9 @@ def _plans(
             own = take.xyz_mm[:, hole.slot]
             known[key] = choose(around, own, hole.first, hole.last, methods, rate_hz)
         length_s = (hole.last - hole.first) / rate_hz
-        plans.append(_Plan(hole, around, size, known[key] or _untried(around, methods, length_s), known[key] is not None))
+        plans.append(
+            _Plan(hole, around, size, known[key] or _untried(around, methods, length_s), known[key] is not None)
+        )
         if progress:
             progress(number + 1, len(holes))
     return plans

@@ -25,8 +25,10 @@ def scaled(points: Points, units: str | None, size_m: float | None) -> Points:
         if units not in TO_MM:
             raise InputError(f"units '{units}': {', '.join(TO_MM)}")
         factor = TO_MM[units]
-        return points if factor == 1.0 else replace(
-            points, xyz_mm=points.xyz_mm * factor, sigma_mm=points.sigma_mm * factor
+        return (
+            points
+            if factor == 1.0
+            else replace(points, xyz_mm=points.xyz_mm * factor, sigma_mm=points.sigma_mm * factor)
         )
     extent_m = _extent_m(points)
     low, high = HUMAN_M if size_m is None else (size_m / ALIKE, size_m * ALIKE)

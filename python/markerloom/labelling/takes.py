@@ -14,7 +14,7 @@ from markerloom.errors import InputError
 from markerloom.labelling.scale import scaled
 from markerloom.labelling.static_pose import name_static_pose
 from markerloom.points import Points
-from markerloom.subjects.create import NOISE_M, learned, poses_of
+from markerloom.subjects.create import NOISE_M, poses_of
 from markerloom.subjects.marker_set import MarkerSet
 from markerloom.subjects.subject import Subject, model_of
 from markerloom.track_points import track_points
@@ -123,9 +123,7 @@ def _taught(
     for subject in subjects:
         own = np.ascontiguousarray(place[:, first : first + len(subject)])
         first += len(subject)
-        distances, heights = _core.learn_more(
-            (subject.distances, subject.heights), subject.poses, own, poses, NOISE_M
-        )
+        distances, heights = _core.learn_more((subject.distances, subject.heights), subject.poses, own, poses, NOISE_M)
         taught.append(replace(subject, distances=distances, heights=heights, poses=subject.poses + poses))
     return taught
 

@@ -1,0 +1,200 @@
+"""The whole chain over a project's takes: dots → trajectories → names → fills → files, and a page for each take."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from markerloom import formats
+from markerloom.errors import InputError, MarkerloomError
+from markerloom.filling import fill
+from markerloom.formats.files import write_text
+from markerloom.labelling import label
+from markerloom.points import Points
+from markerloom.project.page import save_quality, save_take_page
+from markerloom.project.settings import Project, TakeSettings, read_project
+from markerloom.project.stages import Stages, key_of
+from markerloom.smoothing import smooth
+from markerloom.subjects import read_marker_set, read_subject
+from markerloom.track import track
+
+RESULTS = "results"
+VERSIONS = {"track": 1, "label": 1, "fill": 1, "smooth": 1}
+"""Raised when a stage gives other results for the same input: what was computed before is then computed again."""
+Say = Callable[[str], None]
+
+
+def process(folder: str | Path, *, takes: list[str] | None = None, say: Say | None = None) -> dict[str, Any]:
+    """Process a project; returns its report: a row for each take, and those that failed with the reason.
+
+    Results are in ``results/TAKE``: every stage as Parquet, the exported files, a page, and a snapshot of calibration,
+    subjects and settings. What did not change is not computed again; a take that fails does not stop the others.
+    ``takes``: only these.
+    """
+    project = read_project(folder)
+    chosen = _chosen(project, takes)
+    rows: list[dict[str, Any]] = []
+    failed: list[dict[str, str]] = []
+    for settings in chosen:
+        try:
+            rows.append(_one(project, settings))
+            if say:
+                ran = ", ".join(rows[-1]["ran"]) or "nothing to do"
+                say(f"{settings.name}: {ran}; {100 * rows[-1]['complete']:.2f} % complete")
+        except MarkerloomError as error:
+            failed.append({"take": settings.name, "reason": str(error)})
+            if say:
+                say(f"{settings.name}: failed: {error}")
+    save_quality(project, rows, failed)
+    return {
+        "frames": sum(r["frames"] for r in rows),
+        "warnings": [f"take '{f['take']}' failed: {f['reason']}" for f in failed],
+        "takes": rows,
+        "failed": failed,
+    }
+
+
+def _chosen(project: Project, takes: list[str] | None) -> list[TakeSettings]:
+    names = [t.name for t in project.takes]
+    unknown = sorted(set(takes or []) - set(names))
+    if unknown:
+        raise InputError(f"the project has no take '{unknown[0]}'; it has {', '.join(names)}")
+    return [t for t in project.takes if takes is None or t.name in takes]
+
+
+def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
+    """One take through all stages."""
+    stages = Stages(project.folder / RESULTS / settings.name)
+    missing = [p for p in (settings.file, settings.calibration, *settings.subjects) if p and not Path(p).is_file()]
+    if missing:
+        raise InputError(f"there is no file {missing[0]} (take '{settings.name}')")
+    key, reports = "", {}
+    points, key, reports["track"] = _tracked(stages, settings)
+    for stage, options, run in _stages(settings):
+        key = key_of(key, options, VERSIONS[stage])
+        points, reports[stage] = stages.points(stage, key, lambda run=run, points=points: run(points))
+    exported = []
+    for kind in settings.export:
+        target = stages.folder / f"{settings.name}{kind}"
+        if stages.ran or not target.is_file():
+            formats.write_points(points, target)
+        exported.append(target.name)
+    _snapshot(stages.folder, settings)
+    save_take_page(stages.folder / "report.html", settings, points, reports)
+    fills = reports.get("fill", {})
+    named = reports.get("label", {})
+    warnings = [w for r in reports.values() for w in r.get("warnings", [])]
+    return {
+        "take": settings.name,
+        "frames": len(points.frames),
+        "ran": stages.ran,
+        "named": named.get("completeness"),
+        "gaps": fills.get("gaps", 0),
+        "filled": len(fills.get("filled", [])),
+        "complete": fills.get("complete_after", 1.0),
+        "residual_px": reports["track"].get("residual_px", {}).get("median"),
+        "warnings": warnings,
+        "exported": exported,
+    }
+
+
+def _tracked(stages: Stages, settings: TakeSettings) -> tuple[Points, str, dict[str, Any]]:
+    """Trajectories: from dots by tracking, or as another system made them."""
+    file = Path(settings.file)
+    options = {"frames": settings.frames, "rate_hz": settings.rate_hz}
+    frames = _frames(settings.frames)
+    if _holds_dots(file):
+        if not settings.calibration:
+            raise InputError(f"{file.name} holds dots: the project needs a calibration for take '{settings.name}'")
+        key = key_of(file, Path(settings.calibration), options, VERSIONS["track"])
+
+        def run() -> tuple[Points, dict[str, Any]]:
+            dots = formats.read_observations(file)
+            dots = dots if not settings.rate_hz else replace(dots, rate_hz=settings.rate_hz)
+            found = track(dots, formats.read_calibration(settings.calibration), frames=frames)
+            return found, found.report
+
+        return (*_swap(stages.points("track", key, run), key),)
+    points = formats.read_points(file)
+    points = points if not settings.rate_hz else replace(points, rate_hz=settings.rate_hz)
+    points = points if frames is None else points.select(*frames)
+    return points, key_of(file, options), {}
+
+
+def _swap(made: tuple[Points, dict[str, Any]], key: str) -> tuple[Points, str, dict[str, Any]]:
+    return made[0], key, made[1]
+
+
+def _holds_dots(file: Path) -> bool:
+    kind = formats.ending(file)
+    if kind == ".x2d":
+        return True
+    if kind not in formats.TABLE_ENDINGS:
+        return False
+    try:
+        formats.read_observations(file)
+    except MarkerloomError:
+        return False
+    return True
+
+
+def _stages(
+    settings: TakeSettings,
+) -> list[tuple[str, list[Any], Callable[[Points], tuple[Points, dict[str, Any]]]]]:
+    """Stages after tracking: name, what decides about its result, and how it runs."""
+    found: list[tuple[str, list[Any], Callable[[Points], tuple[Points, dict[str, Any]]]]] = []
+    if settings.subjects or settings.marker_set:
+
+        def name(points: Points) -> tuple[Points, dict[str, Any]]:
+            known = [read_subject(s) for s in settings.subjects]
+            worn = None if known else read_marker_set(settings.marker_set)
+            made = label(points, subjects=known or None, marker_set=worn, units=settings.units or None)
+            return made, made.report
+
+        worn = settings.marker_set if settings.marker_set and not settings.subjects else ""
+        worn_key = key_of(Path(worn)) if worn and Path(worn).is_file() else worn
+        found.append(("label", [[key_of(Path(s)) for s in settings.subjects], worn_key, settings.units], name))
+
+    def mend(points: Points) -> tuple[Points, dict[str, Any]]:
+        made = fill(points, method=settings.fill, longest_s=settings.longest_s)
+        return made, made.report
+
+    def even(points: Points) -> tuple[Points, dict[str, Any]]:
+        made = smooth(points, method=settings.smooth, cutoff_hz=settings.cutoff_hz)
+        return made, made.report
+
+    if settings.fill != "none":
+        found.append(("fill", [settings.fill, settings.longest_s], mend))
+    if settings.smooth != "none":
+        found.append(("smooth", [settings.smooth, settings.cutoff_hz], even))
+    return found
+
+
+def _frames(text: str) -> tuple[int | None, int | None] | None:
+    if not text:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return (int(first) if first else None, int(last) if last else None)
+    except ValueError:
+        raise InputError(f"frames = '{text}' is not A:B, such as 0:400 or 100:") from None
+
+
+def _snapshot(folder: Path, settings: TakeSettings) -> None:
+    """What the result was made with: settings, and copies of calibration and subjects."""
+    kept = folder / "made-with"
+    kept.mkdir(exist_ok=True)
+    plain = {k: Path(v).name if k in ("file", "calibration") else v for k, v in asdict(settings).items()}
+    plain["subjects"] = [Path(s).name for s in settings.subjects]
+    plain["export"] = list(settings.export)
+    write_text(kept / "settings.toml", tomlkit.dumps(plain))
+    for source in (settings.calibration, *settings.subjects):
+        if source:
+            shutil.copyfile(source, kept / Path(source).name)
