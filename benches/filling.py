@@ -98,7 +98,7 @@ def two_spheres(
     seen_mm: np.ndarray, true_mm: np.ndarray, spread: np.ndarray, slot: int, first: int, length: int
 ) -> float:
     """The seed paper's way: on the spheres about the two best links, nearest to the motion's prediction."""
-    visible = np.isfinite(seen_mm[first : first + length]).all(axis=(0, 2))
+    visible = np.asarray(np.isfinite(seen_mm[first : first + length]).all(axis=(0, 2)))
     links = [int(s) for s in np.argsort(spread[slot]) if visible[s] and s != slot][:2]
     apart = [float(np.nanmean(np.linalg.norm(seen_mm[:, s] - seen_mm[:, slot], axis=1))) for s in links]
     place, before = seen_mm[first - 1, slot], seen_mm[first - 2, slot]

@@ -21,6 +21,10 @@ VERBS = [
     "detect",
     "sync",
     "leds",
+    "label",
+    "fill",
+    "smooth",
+    "process",
 ]
 
 

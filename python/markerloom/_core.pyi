@@ -129,6 +129,43 @@ def body_labels(motion: str, markers: int, seed: int) -> list[str]: ...
 def body_pose(
     motion: str, markers: int, seed: int, center_m: tuple[float, float, float], time_s: float
 ) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]: ...
+def wearing_pose(
+    motion: str,
+    set: Sequence[tuple[str, str, Sequence[float]]],
+    seed: int,
+    center_m: tuple[float, float, float],
+    t_pose_s: float,
+    time_s: float,
+) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]: ...
+
+Length = tuple[float, float, float]
+Heights = list[list[tuple[list[int], Length]]]
+
+def learn_subject(
+    xyz_m: Floats, same_segment: Sequence[bool | None], poses: float, noise_m: float
+) -> tuple[list[Length | None], Heights]: ...
+def learn_more(
+    known: tuple[Sequence[Length | None], Heights], known_poses: float, xyz_m: Floats, poses: float, noise_m: float
+) -> tuple[list[Length | None], Heights]: ...
+
+class LabelModel:
+    def __init__(self, subject: Sequence[int], distances: Sequence[Length | None], heights: Heights) -> None: ...
+    def settle(self, xyz_m: Floats, names: Sequence[int]) -> tuple[list[int], float]: ...
+    def search(self, xyz_m: Floats) -> tuple[list[int], float, tuple[int, int]]: ...
+    def label_take(
+        self,
+        starts: Sequence[int],
+        xyz_m: Floats,
+        track: Sequence[int],
+        tracks: int,
+        rate_hz: float,
+        believed: Sequence[tuple[int, float] | None],
+    ) -> tuple[list[int], list[float], float]: ...
+
+class Labeller:
+    def __init__(self, model: LabelModel) -> None: ...
+    def push(self, time_s: float, tracks: Sequence[int], xyz_m: Floats) -> tuple[list[int], list[float]]: ...
+
 def observe(
     rig: Rig,
     markers: Sequence[Sequence[float]],

@@ -1,7 +1,7 @@
 """Trajectories smoothed: outliers thrown away, then one of the filters that biomechanists know by name.
 
-Every run of samples without a gap is smoothed by itself; gaps stay gaps. Kinds stay what they were (INTERFACES: smoothing
-is not editing); outliers that are thrown away leave a gap.
+Every run of samples without a gap is smoothed by itself; gaps stay gaps. Kinds stay what they were, since smoothing is
+not editing; outliers that are thrown away leave a gap.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def smooth(
     filters: dict[str, Callable[[Array], Array]] = {
         "butterworth": lambda run: _butterworth(run, cutoff_hz, order, rate),
         "average": lambda run: _average(run, window_s * rate),
-        "gcv": lambda run: _gcv(run),
+        "gcv": _gcv,
         "kalman": lambda run: _kalman(run, rate),
         "none": lambda run: run,
     }

@@ -134,14 +134,7 @@ impl PyModel {
     ) -> (Vec<i64>, Vec<f64>, f64) {
         let points = places(&xyz_m);
         py.detach(|| {
-            let take = Take {
-                starts: &starts,
-                points: &points,
-                track: &track,
-                tracks,
-                rate_hz,
-                believed: &believed,
-            };
+            let take = Take { starts: &starts, points: &points, track: &track, tracks, rate_hz, believed: &believed };
             let found = label_take(&self.inner, &self.plans, &take);
             (as_numbers(&found.marker), found.probability, found.mirrored)
         })

@@ -26,7 +26,7 @@ SMALLEST_AREA_MM2 = 300.0
 class Surroundings:
     """A gap of a marker seen in the frame of its neighbours.
 
-    ``frames`` (n,): the frames looked at, in order; ``local`` (n, 3): the marker in the neighbours' frame (mm), NaN where
+    ``frames`` (n,): frames looked at, in order; ``local`` (n, 3): the marker in the neighbours' frame (mm), NaN where
     it is not seen; ``features`` (n, 3 k): the neighbours there; ``turn`` (n, 3, 3) and ``middle`` (n, 3) lead back:
     world = turn · local + middle. ``neighbours`` is empty where there are too few.
     """

@@ -147,7 +147,7 @@ def _plans(
     spread = spreads(take.xyz_mm) if holes else np.zeros((0, 0))
     plans = []
     for number, hole in enumerate(holes):
-        hidden = ~take.present[max(0, hole.first - 1) : hole.last + 1].all(axis=0)
+        hidden = np.asarray(~take.present[max(0, hole.first - 1) : hole.last + 1].all(axis=0))
         around = surroundings(take.xyz_mm, hole.slot, hole.first, hole.last, spread, rate_hz, hidden)
         size = round(2.0 * np.log2(hole.last - hole.first))
         key = (hole.slot, size, int(hole.first / (ALIKE_S * rate_hz)), around.neighbours.tobytes())

@@ -1,8 +1,8 @@
 """Whether the names of a labelled take are right: swaps and wrong labels found, and mended.
 
-Every trajectory is cut where it jumps to where another was, and at its gaps; the pieces are named anew (`takes.py`), the
-names they have counting a little. Without a subject, one is learned from the take itself, after exchanges that show as a
-jump of two markers to each other's places are undone in favour of the names that hold longer.
+Every trajectory is cut where it jumps to where another was, and at its gaps; the pieces are named anew (`takes.py`),
+the names they have counting a little. Without a subject, one is learned from the take itself, after exchanges that show
+as a jump of two markers to each other's places are undone in favour of the names that hold longer.
 """
 
 from __future__ import annotations

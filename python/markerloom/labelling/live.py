@@ -30,7 +30,7 @@ class Labeller:
     def push(
         self, tracks: NDArray[np.int64], xyz_mm: NDArray[np.floating[Any]], *, time_s: float
     ) -> tuple[list[str], NDArray[np.floating[Any]]]:
-        """The name of every point ("" for none) and the probability of what is said; ``tracks`` (n,), ``xyz_mm`` (n, 3).
+        """The name of every point ("" for none) and its probability; ``tracks`` (n,), ``xyz_mm`` (n, 3).
 
         ``time_s`` must not run backwards.
         """

@@ -37,7 +37,7 @@ def scaled(points: Points, units: str | None, size_m: float | None) -> Points:
     fits = [u for u, f in TO_MM.items() if low <= extent_m * f <= high]
     if fits:
         raise InputError(
-            f"the take is {1000 * extent_m:.3g} mm large, the markers should be some {1000 * high / ALIKE:.0f} mm apart:"
+            f"the take is {1000 * extent_m:.3g} mm large, markers should be some {1000 * high / ALIKE:.0f} mm apart:"
             f" if its numbers are in {fits[0]}, say --units {fits[0]}; if not, --units mm ({points.source})"
         )
     return points

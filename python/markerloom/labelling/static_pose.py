@@ -1,9 +1,9 @@
 """Names for somebody who stands still in a T-pose or A-pose, from a marker set's places on the body.
 
-The set's body is turned to face either way, its arms lowered by several angles, scaled to the height of the points, and
-bent onto them: the best assignment of markers to points pulls the body, first as a whole, then smoothly and more and more
-locally (after the idea of coherent point drift, Myronenko & Song 2010). Which way it faced is decided by the distances
-between markers, which bending does not change.
+The set's body is turned to face either way, its arms lowered by several angles, scaled to the height of the points,
+and bent onto them: the best assignment of markers to points pulls the body, first as a whole, then smoothly and more
+and more locally (after the idea of coherent point drift, Myronenko & Song 2010). Which way it faced is decided by the
+distances between markers, which bending does not change, and by how far markers were from the body before it bent.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def name_static_pose(points: Points, marker_set: MarkerSet) -> tuple[Subject, li
     for row, marker in named:
         xyz_m[np.searchsorted(frames, points.frame[row]), marker] = points.xyz_mm[row] / 1000.0
     # A marker that is hidden here may be seen later: it is expected where the set's body has it.
-    hidden = ~np.isfinite(xyz_m).all(axis=2).any(axis=0)
+    hidden = np.asarray(~np.isfinite(xyz_m).all(axis=2).any(axis=0))
     xyz_m[:, hidden] = place_mm[hidden] / 1000.0
     distances, heights, poses = learned(xyz_m, marker_set.same_segment(), points.rate_hz)
     n = len(marker_set)
@@ -85,7 +85,7 @@ def _still(points: Points, markers: int) -> NDArray[np.int64]:
     for first in range(0, min(len(points.frames), round(WITHIN_S * rate)) - length + 1, length):
         low, high = points.frames[first], points.frames[first + length - 1]
         rows = np.arange(*np.searchsorted(points.frame, [low, high + 1]))
-        tracks, own, count = np.unique(points.track[rows], return_inverse=True, return_counts=True)
+        _, own, count = np.unique(points.track[rows], return_inverse=True, return_counts=True)
         steady = np.flatnonzero(count >= 0.8 * length)
         spread = np.array([np.ptp(points.xyz_mm[rows][own == i], axis=0).max() for i in steady])
         kept = steady[spread < STILL_MM] if len(steady) else steady
@@ -95,7 +95,7 @@ def _still(points: Points, markers: int) -> NDArray[np.int64]:
     if best[0] < FOUND * markers:
         raise InputError(
             f"nobody stands still in a T-pose in the first {WITHIN_S:g} s: at most {best[0]} of the set's {markers}"
-            f" markers are there and at rest; give a subject instead, or --frames from where the pose is ({points.source})"
+            f" markers are there and at rest; give a subject instead, or --frames where the pose is ({points.source})"
         )
     return best[1]
 

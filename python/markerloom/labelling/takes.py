@@ -30,6 +30,10 @@ FEW_POSES = 20.0
 """A subject of fewer poses learns from the take itself."""
 FITS = 0.3
 """Share of the samples expected of a subject below which it does not fit the take."""
+AGREES = 0.5
+"""Share of the rigid pairs that must have their distance, within ``NEAR_SD`` spreads, in ``LOOKED_AT`` frames."""
+NEAR_SD = 4.0
+LOOKED_AT = 60
 MIRRORED = 0.5
 
 
@@ -80,7 +84,7 @@ def label(
             believed[row] = (marker, FIRM)
     assert subjects is not None
     marker, probability, mirrored, known = _named(points, subjects, believed)
-    _check(points, known, marker, mirrored)
+    _check(points, subjects, known, marker, mirrored)
     named = _with_names(points, known, marker, probability)
     report = _report(named, known, marker, probability)
     report["timing"] = {"seconds": time.perf_counter() - clock}
@@ -104,7 +108,9 @@ def _named(
             float(points.rate_hz or 100.0),
             believed,
         )
-        marker, probability, mirrored = np.array(found[0]), np.array(found[1]), found[2]
+        marker, probability = np.array(found[0]), np.array(found[1])
+        # What a take teaches would make a mirror image right: the first word counts.
+        mirrored = found[2] if lesson == 0 else mirrored
         if lesson == LESSONS or all(s.poses >= FEW_POSES for s in subjects):
             break
         known = _taught(points, subjects, marker, probability)
@@ -128,27 +134,51 @@ def _taught(
     return taught
 
 
-def _check(points: Points, subjects: list[Subject], marker: Ints, mirrored: float) -> None:
-    if mirrored > MIRRORED:
-        raise InputError(
-            f"the take is a mirror image of its subject: {100 * mirrored:.0f} % of the markers stand on the wrong side of"
-            f" their neighbours; check the axes of the export, or whether left and right are exchanged in the subject"
-            f" ({points.source})"
-        )
+def _check(points: Points, given: list[Subject], subjects: list[Subject], marker: Ints, mirrored: float) -> None:
+    """Refuse mirror images and subjects that do not fit; ``given`` as they were before the take taught of them."""
     first = 0
-    for subject in subjects:
+    for before, subject in zip(given, subjects, strict=True):
+        agreement = _agreement(points, before, marker - first)
         own = (marker >= first) & (marker < first + len(subject))
         counts = np.bincount(marker[own] - first, minlength=len(subject))
         first += len(subject)
         share = own.sum() / (len(points.frames) * len(subject))
         expected = min(1.0, len(points) / (len(points.frames) * sum(len(s) for s in subjects)))
-        if share < FITS * expected:
+        if share < FITS * expected or agreement < AGREES:
             nowhere = [m for m, c in zip(subject.markers, counts, strict=True) if c < 0.1 * len(points.frames)]
             raise InputError(
-                f"subject '{subject.name}' does not fit the take: {100 * share:.0f} % of its markers were found; nowhere:"
+                f"subject '{subject.name}' does not fit the take: {100 * share:.0f} % of its markers found; nowhere:"
                 f" {', '.join(nowhere[:8])}{' …' if len(nowhere) > 8 else ''}. Another person, another marker set, or"
                 f" another size? ({points.source})"
             )
+    if mirrored > MIRRORED:
+        raise InputError(
+            f"the take is a mirror image of its subject: {100 * mirrored:.0f} % of the markers are on the wrong side of"
+            f" their neighbours; check the axes of the export, or whether left and right are exchanged in the subject"
+            f" ({points.source})"
+        )
+
+
+def _agreement(points: Points, subject: Subject, marker: Ints) -> float:
+    """Share of the rigid pairs of a subject, among all named ones in some frames, that have their distance."""
+    n = len(subject)
+    rigid = [
+        (i // n, i % n) for i, d in enumerate(subject.distances) if d is not None and d[2] >= 1.0 and i // n < i % n
+    ]
+    if not rigid:
+        return 1.0
+    a, b = np.array(rigid).T
+    mean, sd = np.array([subject.distances[i * n + j][:2] for i, j in rigid]).T  # pyright: ignore[reportOptionalSubscript]
+    fits = total = 0
+    for frame in points.frames[:: max(1, len(points.frames) // LOOKED_AT)]:
+        rows = np.arange(*np.searchsorted(points.frame, [frame, frame + 1]))
+        rows = rows[(marker[rows] >= 0) & (marker[rows] < n)]
+        place = np.full((n, 3), np.nan)
+        place[marker[rows]] = points.xyz_mm[rows] / 1000.0
+        off = np.abs(np.linalg.norm(place[a] - place[b], axis=1) - mean) / sd
+        seen = np.isfinite(off)
+        fits, total = fits + int(np.sum(off[seen] < NEAR_SD)), total + int(seen.sum())
+    return fits / total if total else 1.0
 
 
 def _with_names(

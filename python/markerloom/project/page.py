@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +70,7 @@ def _timeline(take: Trajectories) -> str:
         body.append(pictures.text(left - 6, y + 8, take.names[slot], size=9, anchor="end"))
         kinds = take.kind[:, slot]
         edges = np.flatnonzero(np.diff(np.r_[-9, kinds, -9]))
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges.tolist()):
             if kinds[a] in colors:
                 x0, x1 = left + a * per_frame, left + b * per_frame
                 middle = y + row_height / 2

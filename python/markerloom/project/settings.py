@@ -58,7 +58,7 @@ class Project:
 
 
 def read_project(folder: str | Path) -> Project:
-    """Read a project from its folder or its ``markerloom.toml``; raises ``FormatError`` where that says something odd."""
+    """Read a project from its folder or ``markerloom.toml``; raises ``FormatError`` where that says something odd."""
     folder = Path(folder)
     path = folder if folder.name == FILE else folder / FILE
     folder = path.parent.resolve()

@@ -72,8 +72,8 @@ def write_subject(subject: Subject, path: str | Path) -> None:
         raise InputError(f"subjects are written as .toml ({path})")
     n = len(subject)
     lines = [
-        "# A subject of markerloom: distances between markers as [marker, marker, mean, standard deviation, trust], and",
-        "# heights of markers over triangles as [marker, [three others], mean, standard deviation, trust]; millimetres.",
+        "# A subject of markerloom: distances as [marker, marker, mean, standard deviation, trust], and",
+        "# heights over triangles as [marker, [three others], mean, standard deviation, trust]; in mm.",
         f"name = {json.dumps(subject.name)}",
         f"marker_set = {json.dumps(subject.marker_set)}",
         f"poses = {subject.poses:.3f}",

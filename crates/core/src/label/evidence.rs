@@ -104,6 +104,18 @@ fn root(group: &mut [usize], mut i: usize) -> usize {
     i
 }
 
+/// How many markers stand on their side of a triangle of others, and how many do not: in a mirror image none do.
+pub fn sides(model: &Model, names: &Names, points: &[Vector3<f64>]) -> [usize; 2] {
+    let place = |m: usize| names[m].map(|p| points[p]);
+    let side = |m: usize| model.is_on_its_side(m, &place(m)?, place);
+    (0..model.len()).filter_map(side).fold(
+        [0, 0],
+        |[right, wrong], on_it| {
+            if on_it { [right + 1, wrong] } else { [right, wrong + 1] }
+        },
+    )
+}
+
 /// Names of a frame and what speaks for every marker at every point, given the names.
 #[derive(Clone)]
 pub struct Naming {
@@ -134,13 +146,9 @@ impl Naming {
         self.names[marker].map(|p| self.values[marker * frame.points.len() + p])
     }
 
-    /// How many markers stand on their side of a triangle of others, and how many do not: in a mirror image none do.
+    /// How many markers stand on their side of a triangle of others, and how many do not.
     pub fn sides(&self, model: &Model, frame: &Frame) -> [usize; 2] {
-        let place = |m: usize| self.names[m].map(|p| frame.points[p]);
-        let side = |m: usize| model.is_on_its_side(m, &place(m)?, place);
-        (0..model.len()).filter_map(side).fold([0, 0], |[right, wrong], on_it| {
-            if on_it { [right + 1, wrong] } else { [right, wrong + 1] }
-        })
+        sides(model, &self.names, frame.points)
     }
 
     /// Take other names: only what the changed ones bear on is weighed again.

@@ -119,7 +119,9 @@ pub fn learn_more(known: &Learned, known_poses: f64, frames: &[Named], poses: f6
     let kept: Vec<&Named> = frames.iter().step_by(step).collect();
     let joined = |a: usize, b: usize| {
         let before = known.distances[a * n + b];
-        let Some(Seen { mean, variance, frames }) = robust(kept.iter().filter_map(|f| Some((f[a]? - f[b]?).norm())).collect()) else {
+        let Some(Seen { mean, variance, frames }) =
+            robust(kept.iter().filter_map(|f| Some((f[a]? - f[b]?).norm())).collect())
+        else {
             return before;
         };
         let poses = poses * frames as f64 / kept.len() as f64;
@@ -147,8 +149,7 @@ pub fn learn_more(known: &Learned, known_poses: f64, frames: &[Named], poses: f6
         10 * right >= 9 * count
     };
     let heights = known.heights.iter().enumerate();
-    let heights =
-        heights.map(|(m, own)| own.iter().filter(|h| keeps_its_side(m, h)).copied().collect()).collect();
+    let heights = heights.map(|(m, own)| own.iter().filter(|h| keeps_its_side(m, h)).copied().collect()).collect();
     Learned { distances, heights }
 }
 
@@ -186,12 +187,7 @@ fn robust(mut values: Vec<f64>) -> Option<Seen> {
     Some(Seen { mean, variance, frames: values.len() })
 }
 
-fn heights_of(
-    m: usize,
-    frames: &[&Named],
-    distances: &[Option<Length>],
-    (poses, noise_m): (f64, f64),
-) -> Vec<Height> {
+fn heights_of(m: usize, frames: &[&Named], distances: &[Option<Length>], (poses, noise_m): (f64, f64)) -> Vec<Height> {
     let n = frames.first().map_or(0, |f| f.len());
     let mut near: Vec<usize> = (0..n).filter(|&o| o != m && distances[m * n + o].is_some()).collect();
     let sd = |o: usize| distances[m * n + o].map_or(f64::INFINITY, |l| l.sd);

@@ -129,7 +129,11 @@ impl Model {
 
     /// The distance of two markers, where it is known.
     pub fn distance(&self, a: usize, b: usize) -> Option<Length> {
-        self.terms[a * self.markers + b].map(|t| Length { mean: t.mean, sd: 1.0 / t.inverse_sd, trust: 1.0 - t.floor.exp() })
+        self.terms[a * self.markers + b].map(|t| Length {
+            mean: t.mean,
+            sd: 1.0 / t.inverse_sd,
+            trust: 1.0 - t.floor.exp(),
+        })
     }
 
     /// Largest evidence that the distance of two markers can give.

@@ -257,11 +257,11 @@ fn put_over(model: &Model, frame: &Frame, island: &[(usize, usize)], so_far: &Na
     }
     let mut next = so_far.names.clone();
     let mut before = 0.0;
-    for m in 0..next.len() {
-        let Some(p) = next[m] else { continue };
+    for (m, place) in next.iter_mut().enumerate() {
+        let Some(p) = *place else { continue };
         if island.iter().any(|&(marker, point)| marker == m || point == p) {
             before += so_far.of(frame, m).unwrap_or(0.0);
-            next[m] = None;
+            *place = None;
         }
     }
     for &(m, p) in island {
@@ -361,4 +361,3 @@ fn placed(
     }
     found
 }
-

@@ -9,7 +9,7 @@
 //!
 //! Cost: samples × markers × points; in parallel over samples, with the same result for any number of threads.
 
-use super::evidence::{Frame, Names, Naming, at_point, best};
+use super::evidence::{Frame, Names, Naming, at_point, best, sides};
 use super::model::Model;
 use super::search::{Plan, search_all};
 use nalgebra::Vector3;
@@ -69,10 +69,16 @@ struct Sample {
 /// Of each point of a sample: markers, and the score of each.
 type Scores = Vec<Vec<(usize, f64)>>;
 
+/// What is gained by an exchange of names, between whom, and in which samples.
+type Exchange = (f64, (usize, usize), Vec<usize>);
+
+/// What a sample says of a trajectory: its frame, the name, the score and the probability of that.
+type Said = (usize, Option<usize>, f64, f64);
+
 /// Name the rows of a take.
 pub fn label_take(model: &Model, plans: &[Plan], take: &Take) -> Labelled {
     let frames = sampled(take);
-    let (votes, mirrored) = votes(model, plans, take);
+    let votes = votes(model, plans, take);
     let mut samples: Vec<Sample> = frames
         .par_iter()
         .map(|&frame| Sample { frame, names: by_votes(model, take, frame, &votes), candidates: Vec::new() })
@@ -84,6 +90,7 @@ pub fn label_take(model: &Model, plans: &[Plan], take: &Take) -> Labelled {
         }
         scores = name_anew(model, take, &mut samples);
     }
+    let mirrored = mirrored(model, take, &samples);
     spread_out(take, &samples, &scores, mirrored)
 }
 
@@ -115,9 +122,10 @@ fn name_anew(model: &Model, take: &Take, samples: &mut [Sample]) -> Vec<Scores> 
 /// would change: each is wrong by the other. Returns whether any did.
 fn exchange(model: &Model, take: &Take, samples: &mut [Sample]) -> bool {
     let near = |a: usize| model.near(a).iter().copied().take(EXCHANGED);
-    let pairs: Vec<(usize, usize)> =
-        (0..model.len()).flat_map(|a| near(a).filter(move |&b| a < b || !near(b).any(|o| o == a)).map(move |b| (a, b))).collect();
-    let mut found: Vec<(f64, (usize, usize), Vec<usize>)> = pairs
+    let pairs: Vec<(usize, usize)> = (0..model.len())
+        .flat_map(|a| near(a).filter(move |&b| a < b || !near(b).any(|o| o == a)).map(move |b| (a, b)))
+        .collect();
+    let mut found: Vec<Exchange> = pairs
         .par_iter()
         .filter_map(|&pair| {
             let (gain, stretch) = exchanged(model, take, samples, pair);
@@ -201,25 +209,35 @@ fn sampled(take: &Take) -> Vec<usize> {
     wanted
 }
 
-/// What key frames, each searched without history, say of every trajectory; and the share of heights on the wrong side.
-fn votes(model: &Model, plans: &[Plan], take: &Take) -> (Vec<Vec<(usize, f64)>>, f64) {
+/// Share of the heights over triangles that are on the wrong side.
+fn mirrored(model: &Model, take: &Take, samples: &[Sample]) -> f64 {
+    let of_sample = |sample: &Sample| {
+        let points = &take.points[rows(take, sample.frame)];
+        sides(model, &sample.names, points)
+    };
+    let sides: Vec<[usize; 2]> = samples.par_iter().map(of_sample).collect();
+    let [right, wrong] = sides.iter().fold([0, 0], |sum, s| [sum[0] + s[0], sum[1] + s[1]]);
+    wrong as f64 / (right + wrong).max(1) as f64
+}
+
+/// What key frames, each searched without history, say of every trajectory.
+fn votes(model: &Model, plans: &[Plan], take: &Take) -> Vec<Vec<(usize, f64)>> {
     let count = take.starts.len() - 1;
     let stride = ((KEY_S * take.rate_hz) as usize).min(count / KEYS).max(1);
     let keys: Vec<usize> = (0..count).skip(stride / 2).step_by(stride).collect();
-    let said: Vec<(Vec<(usize, usize, f64)>, [usize; 2])> = keys
+    let said: Vec<Vec<(usize, usize, f64)>> = keys
         .par_iter()
         .map(|&f| {
             let points = &take.points[rows(take, f)];
             let frame = Frame::new(points);
             let found = search_all(model, plans, &frame);
-            let sides = found.sides(model, &frame);
             let named = found.names.iter().enumerate().filter_map(|(m, p)| p.map(|p| (m, p)));
             let vote = |(m, p)| (take.track[take.starts[f] + p], m, found.values[m * points.len() + p]);
-            (named.map(vote).collect(), sides)
+            named.map(vote).collect()
         })
         .collect();
     let mut votes = vec![Vec::new(); take.tracks];
-    for (track, marker, value) in said.iter().flat_map(|s| &s.0) {
+    for (track, marker, value) in said.iter().flatten() {
         add(&mut votes[*track], *marker, *value);
     }
     for (row, believed) in take.believed.iter().enumerate() {
@@ -227,8 +245,7 @@ fn votes(model: &Model, plans: &[Plan], take: &Take) -> (Vec<Vec<(usize, f64)>>,
             add(&mut votes[take.track[row]], *marker, *value / stride as f64);
         }
     }
-    let sides = said.iter().fold([0, 0], |sum, s| [sum[0] + s.1[0], sum[1] + s.1[1]]);
-    (votes, sides[1] as f64 / (sides[0] + sides[1]).max(1) as f64)
+    votes
 }
 
 fn add(list: &mut Vec<(usize, f64)>, marker: usize, value: f64) {
@@ -274,10 +291,8 @@ fn along_tracks(take: &Take, samples: &[Sample]) -> Vec<Scores> {
             of_track[take.track[row]].push((i, p));
         }
     }
-    let mut scores: Vec<Scores> =
-        samples.iter().map(|s| vec![Vec::new(); s.candidates.len()]).collect();
-    let found: Vec<Scores> =
-        of_track.par_iter().map(|visits| path_scores(take, samples, visits)).collect();
+    let mut scores: Vec<Scores> = samples.iter().map(|s| vec![Vec::new(); s.candidates.len()]).collect();
+    let found: Vec<Scores> = of_track.par_iter().map(|visits| path_scores(take, samples, visits)).collect();
     for (visits, own) in of_track.iter().zip(found) {
         for (&(i, p), candidates) in visits.iter().zip(own) {
             scores[i][p] = candidates;
@@ -343,7 +358,7 @@ fn seconds(take: &Take, samples: &[Sample], a: usize, b: usize) -> f64 {
 
 /// Names of the samples for the rows between them: a row has the name of its trajectory's nearest sample.
 fn spread_out(take: &Take, samples: &[Sample], scores: &[Vec<Vec<(usize, f64)>>], mirrored: f64) -> Labelled {
-    let mut of_track: Vec<Vec<(usize, Option<usize>, f64, f64)>> = vec![Vec::new(); take.tracks];
+    let mut of_track: Vec<Vec<Said>> = vec![Vec::new(); take.tracks];
     for (sample, own) in samples.iter().zip(scores) {
         let mut name = vec![None; own.len()];
         sample.names.iter().enumerate().for_each(|(m, p)| p.iter().for_each(|&p| name[p] = Some(m)));
@@ -366,7 +381,8 @@ fn spread_out(take: &Take, samples: &[Sample], scores: &[Vec<Vec<(usize, f64)>>]
         }
         // Between two samples a name may have passed from one trajectory to another: the better one has it.
         for row in rows(take, frame) {
-            let twin = rows(take, frame).find(|&r| r != row && found.marker[r].is_some() && found.marker[r] == found.marker[row]);
+            let twin = rows(take, frame)
+                .find(|&r| r != row && found.marker[r].is_some() && found.marker[r] == found.marker[row]);
             if let Some(twin) = twin {
                 let loser = if score[row] < score[twin] { row } else { twin };
                 found.marker[loser] = None;

@@ -171,7 +171,7 @@ impl Body {
 
     /// The figure at a time (s).
     pub fn pose(&self, time_s: f64) -> Pose {
-        let (moving_s, share) = self.into_motion(time_s);
+        let (moving_s, share) = self.moment(time_s);
         let (mut root, heading) = self.root(moving_s);
         root.z *= self.scale;
         let joint = |i: usize| {
@@ -189,7 +189,7 @@ impl Body {
     }
 
     /// Time within the motion (s), and how much of it the pose shows: it sets out gently from the T-pose.
-    fn into_motion(&self, time_s: f64) -> (f64, f64) {
+    fn moment(&self, time_s: f64) -> (f64, f64) {
         if self.t_pose_s <= 0.0 {
             return (time_s, 1.0);
         }
