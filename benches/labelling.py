@@ -247,7 +247,8 @@ def speed(_: int) -> None:
     filled = ml.fill(named)
     both = time.perf_counter() - clock
     print(
-        f"speed 10 min, 120 Hz, 53 markers: labelled {labelled:.1f} s, {filled.report['gaps']} gaps filled {both - labelled:.1f} s"
+        f"speed 10 min, 120 Hz, 53 markers: labelled in {labelled:.1f} s, {filled.report['gaps']} gaps filled in "
+        f"{both - labelled:.1f} s"
     )
     labeller = ml.Labeller([subject])
     tracks, took = np.arange(53), []

@@ -2,8 +2,8 @@
 
 Own motion: linear, cubic and quintic splines (Woltring 1986 for the orders). Neighbours: the donor's path (pattern),
 the rigid frame, distances (links), ridge regression in the neighbours' frame (low rank; cf. Gløersen & Federolf
-2016), and moments in which the neighbours stood alike (cyclic). What comes from neighbours is led into the samples on both sides
-by fading out what it is off there.
+2016), and moments in which the neighbours stood alike (cyclic). What comes from neighbours is led into the samples on
+both sides by fading out what it is off there.
 """
 
 from __future__ import annotations
