@@ -167,7 +167,7 @@ def real(seeds: int) -> None:
             subject = subject_of(learn / 1000.0, rate)
             broken, track = pieces(take.xyz_mm[test], np.random.default_rng(seed))
             named = ml.label(points_of(broken, track, None, rate), subjects=[subject])
-            rights.append(by_row(named, take.xyz_mm[test], list(subject.markers)))
+            rights.append(by_row(named, take.xyz_mm[test], [f"M{i:02d}" for i in range(len(take.names))]))
         right, ghosts = np.mean(rights, axis=0)
         print(f"real {name}, {how}: right {100 * right:.3f} %, phantoms named {100 * ghosts:.2f} %", flush=True)
 

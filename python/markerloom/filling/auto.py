@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from markerloom.filling.methods import METHODS, Gap
-from markerloom.filling.surroundings import Surroundings
+from markerloom.filling.surroundings import LEARNED, Surroundings
 
 Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
@@ -140,15 +140,15 @@ def learnable(around: Surroundings) -> Ints:
 
 def thinned(rows: Ints, around: Surroundings, first: int, last: int) -> Ints:
     """At most so many rows as are worth learning from, all of those nearest to the gap among them."""
-    from markerloom.filling.surroundings import LEARNED
-
     if len(rows) <= LEARNED:
         return rows
     distance = np.maximum(first - around.frames[rows], around.frames[rows] - last)
-    near = np.argsort(distance, kind="stable")[: LEARNED // 3]
-    rest = np.setdiff1d(np.arange(len(rows)), near)
-    spread = rest[np.linspace(0, len(rest) - 1, LEARNED - len(near)).astype(int)]
-    return rows[np.union1d(near, spread)]
+    near = np.argpartition(distance, LEARNED // 3)[: LEARNED // 3]
+    kept = np.zeros(len(rows), bool)
+    kept[near] = True
+    rest = np.flatnonzero(~kept)
+    kept[rest[np.linspace(0, len(rest) - 1, LEARNED - len(near)).astype(int)]] = True
+    return rows[kept]
 
 
 def _stretches(around: Surroundings, own: Array, first: int, last: int) -> list[int]:

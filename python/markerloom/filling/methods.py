@@ -26,7 +26,8 @@ KNOTS = 8
 RIDGE = 0.02
 NOISE_MM = 0.7
 ALIKE = 6
-"""Moments averaged by the cyclic method."""
+MOMENTS = 240
+"""Moments averaged by the cyclic method, and how many it chooses from at most."""
 LEADING = 3
 """Samples beside the gap from which is told what a prediction is off."""
 ROUNDS = 6
@@ -142,8 +143,9 @@ def cyclic(gap: Gap) -> Array | None:
     around = gap.around
     if len(gap.learn) < 3 * FEW:
         return None
-    spread = around.features[gap.learn].std(axis=0) + NOISE_MM
-    known = around.features[gap.learn] / spread
+    learn = gap.learn[:: max(1, len(gap.learn) // MOMENTS)]
+    spread = around.features[learn].std(axis=0) + NOISE_MM
+    known = around.features[learn] / spread
     square = (known**2).sum(axis=1)
 
     def at(rows: Ints) -> Array:
@@ -151,7 +153,7 @@ def cyclic(gap: Gap) -> Array | None:
         apart = np.maximum((asked**2).sum(axis=1)[:, None] + square - 2.0 * asked @ known.T, 0.0)
         nearest = np.argpartition(apart, ALIKE, axis=1)[:, :ALIKE]
         weight = 1.0 / (np.take_along_axis(apart, nearest, axis=1) + 0.1)
-        place = np.einsum("fk,fki->fi", weight, around.local[gap.learn][nearest]) / weight.sum(axis=1, keepdims=True)
+        place = np.einsum("fk,fki->fi", weight, around.local[learn][nearest]) / weight.sum(axis=1, keepdims=True)
         return _to_world(around, rows, place)
 
     return _led(gap, at)

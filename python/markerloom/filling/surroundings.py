@@ -15,8 +15,8 @@ NEIGHBOURS = 5
 FEWEST = 3
 SAMPLED = 400
 """Frames of the take looked at for the spread of distances."""
-WINDOW_S = 20.0
-LEARNED = 600
+WINDOW_S = 10.0
+LEARNED = 480
 """Frames around a gap, at most so far away (s), from which is learned, and how many of them at most."""
 SMALLEST_AREA_MM2 = 300.0
 """Area of the triangle of the first three neighbours, below which they make no frame."""

@@ -179,3 +179,86 @@ impl Naming {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::label::learn::{Said, learn};
+    use crate::label::model::Model;
+    use crate::label::search::{Plan, search_all};
+    use crate::synth::body::{Body, Motion};
+    use crate::synth::random::Random;
+
+    const MARKERS: usize = 30;
+
+    fn dancer(seconds: f64) -> Vec<Vector3<f64>> {
+        Body::new(Motion::Dance, MARKERS, 7, Vector3::zeros()).pose(seconds).markers_m
+    }
+
+    fn model() -> Model {
+        let frames: Vec<_> = (0..800).map(|i| dancer(f64::from(i) * 0.02).into_iter().map(Some).collect()).collect();
+        let learned = learn(&frames, &[Said::Unknown; MARKERS * MARKERS], 30.0, 0.001);
+        Model::new(vec![0; MARKERS], &learned.distances, &learned.heights)
+    }
+
+    #[test]
+    fn the_best_assignment_is_that_of_all_assignments() {
+        let mut random = Random::new(4, 0);
+        for _ in 0..200 {
+            let values: Vec<f64> = (0..12).map(|_| random.between(-3.0, 3.0)).collect();
+            let gain =
+                |names: &Names| names.iter().enumerate().filter_map(|(m, p)| p.map(|p| values[m * 4 + p])).sum::<f64>();
+            let mut most = 0.0_f64;
+            let places: Vec<Option<usize>> = [None].into_iter().chain((0..4).map(Some)).collect();
+            for &a in &places {
+                for &b in &places {
+                    for &c in &places {
+                        let names = vec![a, b, c];
+                        let mut taken: Vec<usize> = names.iter().flatten().copied().collect();
+                        taken.sort_unstable();
+                        taken.dedup();
+                        if taken.len() == names.iter().flatten().count() {
+                            most = most.max(gain(&names));
+                        }
+                    }
+                }
+            }
+            assert!((gain(&best(&values, 3, 4, 0.0)) - most).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_frame_is_named_without_history_in_any_order_and_place() {
+        let model = model();
+        let plans = [Plan::new(&model, 0)];
+        let mut random = Random::new(1, 0);
+        for k in 0..20 {
+            let shift = Vector3::new(random.between(-3.0, 3.0), random.between(-3.0, 3.0), 0.0);
+            let start = random.below(MARKERS);
+            let dancer = dancer(16.0 + 0.37 * f64::from(k));
+            let points: Vec<_> = (0..MARKERS).map(|i| dancer[(i + start) % MARKERS] + shift).collect();
+            let frame = Frame::new(&points);
+            let found = search_all(&model, &plans, &frame);
+            let right = (0..MARKERS).filter(|&m| found.names[m] == Some((m + MARKERS - start) % MARKERS)).count();
+            assert!(right >= MARKERS - 1, "frame {k}: {right} of {MARKERS}");
+            let mirrored: Vec<_> = points.iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect();
+            let [on, off] = search_all(&model, &plans, &Frame::new(&mirrored)).sides(&model, &Frame::new(&mirrored));
+            assert!(off > on);
+        }
+    }
+
+    #[test]
+    fn what_was_weighed_bit_by_bit_is_what_is_weighed_at_once() {
+        let model = model();
+        let points = dancer(3.0);
+        let frame = Frame::new(&points);
+        let mut naming = Naming::new(&model, &frame, (0..MARKERS).map(Some).collect());
+        let mut names = naming.names.clone();
+        names.swap(3, 18);
+        names[7] = None;
+        naming.take(&model, &frame, names.clone());
+        let anew = Naming::new(&model, &frame, names);
+        let off = naming.values.iter().zip(&anew.values).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-9, "{off}");
+    }
+}

@@ -400,3 +400,17 @@ fn certainty(scores: &[(usize, f64)], name: Option<usize>) -> (f64, f64) {
     let others = if name.is_some() { others.chain([0.0]).collect::<Vec<_>>() } else { others.collect() };
     (own, 1.0 / (1.0 + others.iter().map(|s| (s - own).clamp(-60.0, 60.0).exp()).sum::<f64>()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::two_ways;
+
+    #[test]
+    fn an_exchange_must_gain_more_than_going_there_and_back_costs() {
+        let brief: Vec<f64> = (0..40).map(|k| if (10..20).contains(&k) { 2.0 } else { -1.0 }).collect();
+        assert!(two_ways(&brief).iter().all(|s| !s));
+        let lasting: Vec<f64> = (0..60).map(|k| if (20..45).contains(&k) { 2.0 } else { -1.0 }).collect();
+        let found: Vec<usize> = (0..60).filter(|&k| two_ways(&lasting)[k]).collect();
+        assert_eq!(found, (20..45).collect::<Vec<_>>());
+    }
+}
