@@ -21,6 +21,9 @@ Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
 
 STRETCHES = 8
+HOPELESS_AFTER = 3
+HOPELESS = 5.0
+"""A method that is off so many times as much as the best after so many stretches is not tried on the others."""
 BELIEVED = 5.0
 """What the belief before any stretch is worth, in stretches."""
 APART_S = 0.25
@@ -28,7 +31,8 @@ APART_S = 0.25
 ALIKE = 0.7
 """Stretches are alike whose neighbours moved as much, within this factor's logarithm."""
 STILL_MM = 0.5
-SHRINK = 0.15
+ALIKE_ERRORS = 0.7
+SHRINK = 0.05
 LEAST_WEIGHT = 0.02
 SHAPE = np.linspace(0.0, 1.0, 11)
 """Places within a gap for which the expected error is kept."""
@@ -59,17 +63,21 @@ def choose(
     errors: dict[str, list[Array]] = {m: [] for m in methods}
     apart = round(APART_S * rate_hz)
     usable = learnable(around)
-    for start in stretches:
+    tried = list(methods)
+    hidden = own.copy()
+    for number, start in enumerate(stretches):
         frames = around.frames[usable]
         away = (frames < start - apart) | (frames >= start + length + apart)
-        hidden = own.copy()
         hidden[start : start + length] = np.nan
         gap = Gap(around, hidden, start, start + length, thinned(usable[away], around, start, start + length))
         truth = own[start : start + length]
-        for method in methods:
+        for method in tried:
             filled = METHODS[method](gap)
             errors[method].append(np.full_like(truth, np.nan) if filled is None else filled - truth)
-    kept = [m for m in methods if errors[m] and np.isfinite(errors[m]).all()]
+        hidden[start : start + length] = truth
+        if number + 1 == HOPELESS_AFTER:
+            tried = _worth_it(errors)
+    kept = [m for m in tried if errors[m] and np.isfinite(errors[m]).all()]
     if not kept:
         return None
     every = np.array([errors[m] for m in kept])  # (methods, stretches, frames, 3)
@@ -91,6 +99,13 @@ def choose(
     given_back = np.sqrt((count + 1.0) / max(count - 1.0, 0.5))
     used = {m: float(w) for m, w in zip(kept, weights, strict=True) if w > 0}
     return Choice(used, float(np.sqrt((off**2).sum(axis=2).mean()) * given_back), shape * given_back, count)
+
+
+def _worth_it(errors: dict[str, list[Array]]) -> list[str]:
+    """Methods that have not been hopeless so far."""
+    square = {m: float(np.mean(np.square(e))) for m, e in errors.items() if e and np.isfinite(e).all()}
+    least = min(square.values(), default=0.0)
+    return [m for m, s in square.items() if s <= HOPELESS**2 * max(least, 1e-12)]
 
 
 def _moved_mm(around: Surroundings, first: int, length: int) -> float:
@@ -123,7 +138,9 @@ def mixed(errors: Array, stretches: int, before: Array) -> Array:
     covariance = errors @ errors.T / errors.shape[1]
     own = np.diag(covariance)
     scale = np.median(own / before**2)
-    belief = np.diag(np.maximum(before**2 * scale, 1e-6))
+    # Methods err alike, since they see the same neighbours: a mix of many is no better than the best of them.
+    belief = scale * (ALIKE_ERRORS * np.outer(before, before) + (1.0 - ALIKE_ERRORS) * np.diag(before**2))
+    belief += 1e-6 * np.eye(len(belief))
     covariance = (stretches * covariance + BELIEVED * belief) / (stretches + BELIEVED)
     covariance += SHRINK * np.diag(np.diag(covariance)) + 1e-9 * np.eye(len(covariance))
     root = np.linalg.cholesky(covariance).T

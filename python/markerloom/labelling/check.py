@@ -66,20 +66,30 @@ def check_labels(points: Points, *, subject: Subject | None = None, units: str |
     take = Trajectories.of(points)
     if all(name.startswith("*") for name in take.names):
         raise InputError(f"no marker of the take has a name: there is nothing to check ({points.source})")
-    if subject is None:
-        subject = create_subject(_exchanges_undone(take, points.rate_hz).as_points())
+    if subject is not None:
+        return _checked(points, take, subject)
+    found = _checked(points, take, create_subject(_exchanges_undone(take, points.rate_hz).as_points()))
+    if found.wrong:
+        # What was learned from wrong names was not quite right itself.
+        found = _checked(points, take, create_subject(repair_labels(points, found)))
+    return found
+
+
+def _checked(points: Points, take: Trajectories, subject: Subject) -> Checked:
+    """The names a take has beside those that it should have by what is known of a subject."""
+    rate_hz = points.rate_hz or 100.0
     own = {split_prefix(name, subject.markers)[1]: name for name in take.names}
     index = {name: subject.markers.index(m) for m, name in own.items() if m in subject.markers}
     if len(index) < 3:
         raise InputError(f"the take has {len(index)} of the markers of subject '{subject.name}' ({points.source})")
     marker = np.array([index.get(str(name), -1) for name in points.label])
-    piece = _pieces(take, points.rate_hz)[points.frame - take.frames[0], np.searchsorted(take.tracks, points.track)]
+    piece = _pieces(take, rate_hz)[points.frame - take.frames[0], np.searchsorted(take.tracks, points.track)]
     tracks, track = np.unique(piece, return_inverse=True)
     starts = np.searchsorted(points.frame, np.append(points.frames, points.frames[-1] + 1)).tolist()
     xyz_m = np.ascontiguousarray(points.xyz_mm / 1000.0)
     believed = [(int(m), KEPT) if m >= 0 else None for m in marker]
     found, probability, _ = model_of([subject]).label_take(
-        starts, xyz_m, track.tolist(), len(tracks), points.rate_hz, believed
+        starts, xyz_m, track.tolist(), len(tracks), rate_hz, believed
     )
     should, sure = np.array(found), np.array(probability) >= SURE
     should = np.where((marker >= 0) & ~sure, marker, should)
@@ -127,9 +137,16 @@ def _exchanges(take: Trajectories, rate_hz: float) -> list[tuple[int, int, int]]
     """Where a trajectory jumps to where another was: (frame, trajectory, other)."""
     found = []
     for before, after, slots in _steps(take, rate_hz):
-        jump = np.linalg.norm(take.xyz_mm[after, slots] - take.xyz_mm[before, slots], axis=1)
+        expected = take.xyz_mm[before]
+        if before > 0:
+            # Where everybody would be who goes on as before: fast neighbours cross each other's former places.
+            going_on = expected + (after - before) * (expected - take.xyz_mm[before - 1])
+            known = np.isfinite(going_on)
+            known[[slot for frame, slot, _ in found[-len(take.names) :] if frame == before]] = False
+            expected = np.where(known, going_on, expected)
+        jump = np.linalg.norm(take.xyz_mm[after, slots] - expected[slots], axis=1)
         for slot, length in zip(slots[jump > JUMP_MM], jump[jump > JUMP_MM], strict=True):
-            away = np.linalg.norm(take.xyz_mm[before] - take.xyz_mm[after, slot], axis=1)
+            away = np.linalg.norm(expected - take.xyz_mm[after, slot], axis=1)
             away[slot] = np.inf
             away = np.where(np.isfinite(away), away, np.inf)
             other = int(np.argmin(away))
