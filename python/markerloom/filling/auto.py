@@ -24,7 +24,7 @@ STRETCHES = 8
 HOPELESS_AFTER = 3
 HOPELESS = 5.0
 """A method that is off so many times as much as the best after so many stretches is not tried on the others."""
-BELIEVED = 5.0
+BELIEVED = 12.0
 """What the belief before any stretch is worth, in stretches."""
 APART_S = 0.25
 """What is nearer to a stretch than this is not learned from when it is left out (s)."""
