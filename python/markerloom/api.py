@@ -43,6 +43,15 @@ from markerloom.points import Points
 from markerloom.project import Project, process, read_project
 from markerloom.reconstruct import Reconstruction, reconstruct
 from markerloom.rig import Camera, Lens, Mask, Rig
+from markerloom.rigid_body import (
+    Poses,
+    RigidBody,
+    ambiguities,
+    create_rigid_body,
+    read_rigid_body,
+    track_rigid_body,
+    write_rigid_body,
+)
 from markerloom.simulate import Scene, SimulatedTake, make_scene, save, simulate
 from markerloom.smoothing import Smoothed, smooth
 from markerloom.subjects import (
@@ -80,10 +89,12 @@ __all__ = [
     "Mask",
     "Observations",
     "Points",
+    "Poses",
     "Project",
     "Reconstruction",
     "Rig",
     "RigStream",
+    "RigidBody",
     "Scene",
     "SimulatedTake",
     "Smoothed",
@@ -95,6 +106,7 @@ __all__ = [
     "Triangulated",
     "Truth",
     "Wand",
+    "ambiguities",
     "bench",
     "calibrate_board",
     "calibrate_intrinsics",
@@ -105,6 +117,7 @@ __all__ = [
     "check_rig",
     "convert",
     "coverage",
+    "create_rigid_body",
     "create_subject",
     "demo",
     "detect",
@@ -136,6 +149,7 @@ __all__ = [
     "read_observations",
     "read_points",
     "read_project",
+    "read_rigid_body",
     "read_subject",
     "read_wand",
     "reconstruct",
@@ -150,6 +164,7 @@ __all__ = [
     "smooth",
     "sync",
     "track",
+    "track_rigid_body",
     "triangulate",
     "truth_from_assignments",
     "truth_from_observations",
@@ -158,6 +173,7 @@ __all__ = [
     "write_calibration",
     "write_marker_set",
     "write_points",
+    "write_rigid_body",
     "write_subject",
 ]
 

@@ -43,6 +43,7 @@ from markerloom.project.cli import process
 from markerloom.reconstruct import Progress
 from markerloom.reconstruct import reconstruct as run_reconstruct
 from markerloom.rig import Rig
+from markerloom.rigid_cli import rigid_app
 from markerloom.simulate import PRESETS, make_rig, make_scene, save
 from markerloom.simulate import simulate as run_simulate
 from markerloom.sync.cli import sync
@@ -53,6 +54,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
 app.add_typer(subject_app, name="subject")
+app.add_typer(rigid_app, name="rigid")
 for verb in (sync, label, fill, smooth, process):
     app.command()(verb)
 out = Console(highlight=False)

@@ -10,8 +10,8 @@ from markerloom.errors import InputError
 from markerloom.points import Points
 
 TO_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
-HUMAN_M = (0.3, 3.0)
-"""Sizes that a marked body may have where no subject is known (m)."""
+SIZES_M = (0.03, 3.0)
+"""Sizes that a marked body or thing may have where no subject is known (m)."""
 ALIKE = 2.5
 """Largest factor between a take's extent and a subject's size, within one unit: poses change the extent."""
 
@@ -31,7 +31,7 @@ def scaled(points: Points, units: str | None, size_m: float | None) -> Points:
             else replace(points, xyz_mm=points.xyz_mm * factor, sigma_mm=points.sigma_mm * factor)
         )
     extent_m = _extent_m(points)
-    low, high = HUMAN_M if size_m is None else (size_m / ALIKE, size_m * ALIKE)
+    low, high = SIZES_M if size_m is None else (size_m / ALIKE, size_m * ALIKE)
     if extent_m is None or extent_m >= low:
         return points
     fits = [u for u, f in TO_MM.items() if low <= extent_m * f <= high]

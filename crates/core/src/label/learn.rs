@@ -32,6 +32,8 @@ const BY_DISTANCE_SAID: f64 = 0.05;
 /// to this part of its reach are taken for rigid.
 const MOVED: f64 = 3.0;
 const NEAR: f64 = 0.12;
+/// Length of the mean of unit directions below which a line has turned: a spread of some 15 degrees.
+const TURNED: f64 = 0.97;
 /// Share of the frames in which a pair must be seen to be taken for rigid.
 const OFTEN: f64 = 0.5;
 /// Least spread of a rigid pair (m): skin and noise.
@@ -93,7 +95,7 @@ pub fn learn(frames: &[Named], said: &[Said], poses: f64, noise_m: f64) -> Learn
         let rigid = match said[i] {
             Said::Rigid => variance.sqrt() <= SKIN + RIGID * least,
             Said::Soft => false,
-            Said::Unknown => steady && (contrast > MOVED || mean <= NEAR * reach),
+            Said::Unknown => steady && (contrast > MOVED || mean <= NEAR * reach || has_turned(&kept, i / n, i % n)),
         };
         Some(if rigid {
             let by_distance = if said[i] == Said::Rigid { BY_DISTANCE_SAID } else { BY_DISTANCE };
@@ -151,6 +153,13 @@ pub fn learn_more(known: &Learned, known_poses: f64, frames: &[Named], poses: f6
     let heights = known.heights.iter().enumerate();
     let heights = heights.map(|(m, own)| own.iter().filter(|h| keeps_its_side(m, h)).copied().collect()).collect();
     Learned { distances, heights }
+}
+
+/// Whether the line through two markers turned: a pair that kept its length through that is rigid.
+fn has_turned(frames: &[&Named], a: usize, b: usize) -> bool {
+    let directions = frames.iter().filter_map(|f| (f[a]? - f[b]?).try_normalize(1e-9));
+    let (sum, count) = directions.fold((Vector3::zeros(), 0.0), |(s, n), d| (s + d, n + 1.0));
+    count > 0.0 && sum.norm() / count < TURNED
 }
 
 /// Spread of the body's most rigid pairs (m): the median over markers of their second most rigid neighbour.
