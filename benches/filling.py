@@ -1,6 +1,6 @@
 """How well gaps are filled: markers of real takes hidden, filled by every method, compared with what they were.
 
-python benches/filling.py [FOLDER of labelled takes] [--gaps=N]
+python benches/filling.py [FOLDER of labelled takes] [--gaps=N] [--seed=N]
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ AT_ONCE = 4
 def main() -> None:
     folder = Path(next((a for a in sys.argv[1:] if not a.startswith("--")), FOLDER))
     gaps = int(next((a.split("=")[1] for a in sys.argv if a.startswith("--gaps=")), 40))
-    print(f"mean rms of {gaps} gaps per take (mm), seed 0; sigma: mean (error/sigma)^2")
+    seed = int(next((a.split("=")[1] for a in sys.argv if a.startswith("--seed=")), 0))
+    print(f"mean rms of {gaps} gaps per take (mm), seed {seed}; sigma: mean (error/sigma)^2")
     total: dict[tuple[str, float], dict[str, list[float]]] = {}
     honest: dict[tuple[str, float], list[float]] = {}
     for name in TAKES:
@@ -34,7 +35,7 @@ def main() -> None:
         spread = spreads(take.xyz_mm)
         for kind in ("one", "three"):
             for length_s in LENGTHS_S:
-                errors, ratios = cell(take, spread, kind == "three", length_s, gaps)
+                errors, ratios = cell(take, spread, kind == "three", length_s, gaps, seed)
                 for method, values in errors.items():
                     total.setdefault((kind, length_s), {}).setdefault(method, []).extend(values)
                 honest.setdefault((kind, length_s), []).extend(ratios)
@@ -49,12 +50,12 @@ def main() -> None:
 
 
 def cell(
-    take: Trajectories, spread: np.ndarray, three: bool, length_s: float, gaps: int
+    take: Trajectories, spread: np.ndarray, three: bool, length_s: float, gaps: int, seed: int
 ) -> tuple[dict[str, list[float]], list[float]]:
     """Errors of every method, and the squared ratios of error and sigma of ``auto``, over gaps of one kind."""
     rate = take.points.rate_hz or 100.0
     length = round(length_s * rate)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     errors: dict[str, list[float]] = {m: [] for m in ("auto", *METHODS, "two spheres")}
     ratios: list[float] = []
     while len(errors["auto"]) < gaps:

@@ -1,4 +1,4 @@
-"""Gaps of trajectories filled, with honest uncertainty."""
+"""Gaps of trajectories filled, each with its expected error."""
 
 from markerloom.filling.takes import Filled, fill
 

@@ -32,6 +32,7 @@ ALIKE = 0.7
 """Stretches are alike whose neighbours moved as much, within this factor's logarithm."""
 STILL_MM = 0.5
 ALIKE_ERRORS = 0.7
+"""Correlation of the methods' errors that is believed; like ``BELIEVED`` chosen on benches/filling.py, seed 0."""
 SHRINK = 0.05
 LEAST_WEIGHT = 0.02
 SHAPE = np.linspace(0.0, 1.0, 11)
@@ -120,7 +121,7 @@ def _moved_mm(around: Surroundings, first: int, length: int) -> float:
 
 def expected(methods: list[str], length_s: float) -> Array:
     """Errors to be expected of methods before any was tried, relative to the regression's: splines go astray with the
-    length of a gap, neighbours hardly do (medians over the gaps of real takes; cf. Skurowski & Pawlyta 2021)."""
+    length of a gap, neighbours hardly do. Rough numbers, by eye from the takes of benches/filling.py."""
     astray = {
         "linear": 8.0 * (length_s / 0.2) ** 1.5,
         "cubic": 1.5 * (length_s / 0.1) ** 1.7,

@@ -35,7 +35,7 @@ def fill(
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
-    """Fill gaps: each by the mix of methods that would have filled others like it best; with honest uncertainty.
+    """Fill gaps: each by the mix of methods that would have filled others like it best; with its expected error.
 
     Example: markerloom fill named.c3d -o filled.c3d
     """

@@ -63,12 +63,12 @@ pub enum Said {
     Unknown,
 }
 
-/// Learn a subject. `said` (n × n) is what a marker set says of each pair; `poses`: how many independent poses the frames are worth. The extremes are clipped, so that jumps and swaps of a
-/// few frames do not count.
+/// Learn a subject. `said` (n × n) is what a marker set says of each pair; `poses`: how many independent poses the
+/// frames are worth. The extremes are clipped, so that jumps and swaps of a few frames do not count.
 ///
 /// A pair that kept its distance while others changed theirs much is rigid, and its spread is as seen. A pair that moved
 /// a little may move more tomorrow: its spread is widened, and it is trusted only by the number of poses. Where nothing
-/// moved at all, only near markers are taken for rigid, unless a marker set tells.
+/// moved at all, only near markers are taken for rigid, unless a marker set tells or the pair turned.
 pub fn learn(frames: &[Named], said: &[Said], poses: f64, noise_m: f64) -> Learned {
     let n = frames.first().map_or(0, Vec::len);
     let step = frames.len().div_ceil(FRAMES).max(1);
