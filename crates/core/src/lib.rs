@@ -13,6 +13,7 @@ pub mod detect;
 pub mod label;
 pub mod reconstruct;
 pub mod sight;
+pub mod skeleton;
 pub mod strands;
 pub mod sync;
 pub mod synth;

@@ -12,6 +12,7 @@ mod hidden;
 mod label;
 mod reconstruct;
 mod rig;
+mod skeleton;
 mod sync;
 mod synth;
 mod track;
@@ -34,6 +35,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<c3d::PyC3d>()?;
     module.add_class::<label::PyModel>()?;
     module.add_class::<label::PyLabeller>()?;
+    module.add_class::<skeleton::PyFigure>()?;
+    module.add_class::<skeleton::PyFollower>()?;
     module.add_function(wrap_pyfunction!(label::learn_subject, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_more, module)?)?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;
@@ -55,6 +58,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(synth::body_labels, module)?)?;
     module.add_function(wrap_pyfunction!(synth::body_pose, module)?)?;
     module.add_function(wrap_pyfunction!(synth::wearing_pose, module)?)?;
+    module.add_function(wrap_pyfunction!(synth::wearing_joints, module)?)?;
     module.add_function(wrap_pyfunction!(synth::rig, module)?)?;
     module.add_function(wrap_pyfunction!(x2d::read_x2d, module)?)?;
     Ok(())

@@ -3,7 +3,7 @@
 use crate::errors::RigError;
 use crate::rig::PyRig;
 use markerloom_core::camera::{Camera, Rig};
-use markerloom_core::synth::body::{Body, Capsule, Motion};
+use markerloom_core::synth::body::{Body, Capsule, Motion, segment_names};
 use markerloom_core::synth::observe::{Hide, Imperfections, observe as engine_observe};
 use markerloom_core::synth::{cloud as engine_cloud, rigs};
 use nalgebra::Vector3;
@@ -72,7 +72,8 @@ fn motion_of(motion: &str) -> PyResult<Motion> {
     match motion {
         "walk" => Ok(Motion::Walk),
         "dance" => Ok(Motion::Dance),
-        other => Err(RigError::new_err(format!("unknown motion '{other}': walk or dance"))),
+        "rom" => Ok(Motion::Rom),
+        other => Err(RigError::new_err(format!("unknown motion '{other}': walk, dance or rom"))),
     }
 }
 
@@ -109,6 +110,22 @@ pub fn wearing_pose(
     let body = Body::wearing(motion_of(motion)?, &set, seed, Vector3::from(center_m), t_pose_s);
     let body = body.ok_or_else(|| RigError::new_err("the marker set has segments that the figure has not"))?;
     Ok(pose(&body, time_s))
+}
+
+/// Names and places of the joints of such a figure.
+#[pyfunction]
+pub fn wearing_joints(
+    motion: &str,
+    set: Vec<(String, String, [f64; 3])>,
+    seed: u64,
+    center_m: [f64; 3],
+    t_pose_s: f64,
+    time_s: f64,
+) -> PyResult<Vec<(String, [f64; 3])>> {
+    let body = Body::wearing(motion_of(motion)?, &set, seed, Vector3::from(center_m), t_pose_s);
+    let body = body.ok_or_else(|| RigError::new_err("the marker set has segments that the figure has not"))?;
+    let names = segment_names().into_iter().map(String::from);
+    Ok(names.zip(body.pose(time_s).joints_m.into_iter().map(Into::into)).collect())
 }
 
 type Seen = (usize, f64, f64, Vec<usize>);

@@ -47,6 +47,8 @@ pub enum Motion {
     Walk,
     /// Turns, bends and throws arms and legs about.
     Dance,
+    /// Stands and takes every joint through its range, one group after the other, both sides at once.
+    Rom,
 }
 
 struct Segment {
@@ -89,6 +91,19 @@ const STATURE: f64 = 1.79;
 const T_POSE_ROOT: f64 = 0.93;
 /// Time from the T-pose into the motion (s).
 const INTO_MOTION_S: f64 = 1.0;
+/// How long the figure takes for one group of joints of a range of motion (s), and the groups: middle and reach of the
+/// turns about the axes right, forward, up of the left side (rad).
+const ROM_S: f64 = 5.0;
+const ROM: [(&str, [(f64, f64); 3]); 8] = [
+    ("thorax", [(0.0, 0.4), (0.0, 0.3), (0.0, 0.5)]),
+    ("head", [(0.0, 0.5), (0.0, 0.3), (0.0, 0.7)]),
+    ("upper", [(0.0, 0.8), (-0.3, 0.7), (0.0, 0.6)]),
+    ("forearm", [(0.9, 0.9), (0.0, 0.0), (0.0, 0.8)]),
+    ("hand", [(0.0, 0.7), (0.0, 0.3), (0.0, 0.0)]),
+    ("thigh", [(0.5, 0.5), (0.0, 0.35), (0.0, 0.25)]),
+    ("shank", [(-0.8, 0.8), (0.0, 0.0), (0.0, 0.1)]),
+    ("foot", [(0.0, 0.45), (0.0, 0.2), (0.0, 0.15)]),
+];
 /// How far markers are put beside their places (m, standard deviation), and how much statures differ (part).
 const CARELESS: f64 = 0.008;
 const STATURES: f64 = 0.08;
@@ -118,6 +133,13 @@ pub struct Pose {
     pub markers_m: Vec<Vector3<f64>>,
     /// What hides markers.
     pub capsules: Vec<Capsule>,
+    /// Where segments start: the joints (m, world), in the order of [`segment_names`].
+    pub joints_m: Vec<Vector3<f64>>,
+}
+
+/// Names of the figure's segments.
+pub fn segment_names() -> Vec<&'static str> {
+    (0..N_SEGMENTS).map(|i| segment(i).name).collect()
 }
 
 impl Body {
@@ -185,7 +207,11 @@ impl Body {
             Capsule { ends_m: [*start, end], radius_m: segment(i).radius * self.scale }
         };
         let place = |m: &Glued| frames[m.segment].0 + frames[m.segment].1 * m.place * self.scale;
-        Pose { markers_m: self.markers.iter().map(place).collect(), capsules: (0..N_SEGMENTS).map(capsule).collect() }
+        Pose {
+            markers_m: self.markers.iter().map(place).collect(),
+            capsules: (0..N_SEGMENTS).map(capsule).collect(),
+            joints_m: frames.iter().map(|f| f.0).collect(),
+        }
     }
 
     /// Time within the motion (s), and how much of it the pose shows: it sets out gently from the T-pose.
@@ -205,6 +231,11 @@ impl Body {
                 let bob = 0.02 * (2.0 * TAU * 0.9 * t).sin();
                 let place = Vector3::new(angle.cos(), angle.sin(), 0.93 + bob);
                 (place + self.center, Rotation3::from_axis_angle(&Vector3::z_axis(), angle))
+            }
+            Motion::Rom => {
+                let sway = |rate: f64, phase: f64| (TAU * rate * t + phase).sin();
+                let place = Vector3::new(0.02 * sway(0.2, self.phases[0]), 0.02 * sway(0.13, self.phases[1]), T_POSE_ROOT);
+                (place + self.center, Rotation3::from_axis_angle(&Vector3::z_axis(), 0.1 * sway(0.1, self.phases[2])))
             }
             Motion::Dance => {
                 let sway = |rate: f64, phase: f64| (TAU * rate * t + phase).sin();
@@ -235,6 +266,20 @@ impl Body {
                     _ => 0.03 * swing(0.9, 0.5),
                 };
                 Rotation3::from_axis_angle(&Vector3::x_axis(), bend)
+            }
+            Motion::Rom => {
+                let bodypart = name.split('_').next().unwrap_or_default();
+                let Some(turn) = ROM.iter().position(|(part, _)| *part == bodypart) else { return t_pose(i) };
+                let since = (t / ROM_S).rem_euclid(ROM.len() as f64) - turn as f64;
+                let wave = if (0.0..1.0).contains(&since) { (0.5 * TAU * since).sin() } else { 0.0 };
+                let phase = TAU * since;
+                let swings = [(2.0 * phase).sin(), (3.0 * phase).cos(), (4.0 * phase).sin()];
+                let bend = |axis: usize| {
+                    let mirror = if axis == 0 { 1.0 } else { side };
+                    let (middle, reach) = ROM[turn].1[axis];
+                    mirror * (middle * wave + reach * wave * swings[axis])
+                };
+                t_pose(i) * Rotation3::from_euler_angles(bend(0), bend(1), bend(2))
             }
             Motion::Dance => {
                 let reach = match name.split('_').next().unwrap_or_default() {

@@ -1,0 +1,301 @@
+//! Bones and marker places of one person: adjusted together with the poses of many frames.
+//!
+//! The poses are eliminated frame by frame with the tree's sparsity (Schur complement), the shared parameters solved
+//! for, and the poses solved anew: a bundle adjustment of a body. What motion does not show (a joint that never turned)
+//! stays where the prior has it. Each marker's sigma follows from its own residuals.
+
+use super::kinematics::segments;
+use super::solve::{Evidence, Solver, residuals, trust, velocity};
+use super::take::Seen;
+use super::{Figure, Pose};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use rayon::prelude::*;
+
+const ROUNDS: usize = 4;
+const STEPS: usize = 12;
+/// A round ends when a step lowers the cost by less than this part.
+const ENOUGH: f64 = 1e-5;
+/// Least and largest sigma of a marker (m).
+const SIGMA: [f64; 2] = [0.0003, 0.05];
+/// Median of the squared length of a vector of three standard normal components.
+const MEDIAN_CHI2: f64 = 2.366;
+/// At least this share of a marker's noise is taken to be left in its residuals.
+const LEAST_SHARE: f64 = 0.1;
+/// Frames whose equations are held at once.
+const BATCH: usize = 16;
+
+/// What is known before the fit; means are the figure's own values.
+#[derive(Clone, Debug)]
+pub struct Known {
+    /// How well each joint's offset is known (m, standard deviation); 0 keeps it.
+    pub offset_sd_m: Vec<Vector3<f64>>,
+    /// How well each marker's place is known (m, standard deviation).
+    pub place_sd_m: Vec<f64>,
+    /// Joints of the left and the right whose offsets mirror each other, and how exactly (m).
+    pub mirrored: Vec<(usize, usize, f64)>,
+}
+
+/// The fitted figure and the poses it was fitted in.
+pub struct Fitted {
+    /// With its sigmas.
+    pub figure: Figure,
+    /// One per frame.
+    pub poses: Vec<Pose>,
+    /// Root mean square of the markers' residuals, outliers left out (m).
+    pub residual_m: f64,
+}
+
+/// Shared parameters: offsets of the joints that may change, then places of the markers.
+struct Shared {
+    joints: Vec<usize>,
+    column_of: Vec<Option<usize>>,
+    markers: usize,
+}
+
+impl Shared {
+    fn new(figure: &Figure, known: &Known) -> Self {
+        let joints: Vec<usize> = (1..figure.joints.len()).filter(|&j| known.offset_sd_m[j].max() > 0.0).collect();
+        let mut column_of = vec![None; figure.joints.len()];
+        for (i, &j) in joints.iter().enumerate() {
+            column_of[j] = Some(3 * i);
+        }
+        Self { joints, column_of, markers: figure.markers.len() }
+    }
+
+    fn len(&self) -> usize {
+        3 * (self.joints.len() + self.markers)
+    }
+
+    fn of_marker(&self, m: usize) -> usize {
+        3 * (self.joints.len() + m)
+    }
+
+    fn moved(&self, figure: &Figure, step: &DVector<f64>) -> Figure {
+        let mut next = figure.clone();
+        for (i, &j) in self.joints.iter().enumerate() {
+            next.joints[j].offset_m += step.fixed_rows::<3>(3 * i);
+        }
+        for m in 0..self.markers {
+            next.markers[m].place_m += step.fixed_rows::<3>(self.of_marker(m));
+        }
+        next
+    }
+}
+
+/// Fit a figure to frames, starting from poses.
+pub fn fit(start: &Figure, frames: &[Seen], poses: Vec<Pose>, known: &Known) -> Fitted {
+    let shared = Shared::new(start, known);
+    let mut figure = start.clone();
+    let mut poses = poses;
+    for _ in 0..ROUNDS {
+        let mut cost = f64::INFINITY;
+        let mut damping = 1e-6;
+        let mut step = None;
+        for _ in 0..STEPS {
+            let tried = step.as_ref().map_or_else(|| figure.clone(), |s| shared.moved(&figure, s));
+            let (found, at) = solve_all(&tried, frames, &poses);
+            let total = at + prior_cost(&shared, start, &tried, known);
+            if std::env::var("FITDBG").is_ok() { eprintln!("cost {total} damping {damping}"); }
+            if total <= cost {
+                let enough = cost.is_finite() && cost - total < ENOUGH * cost;
+                (figure, poses, cost) = (tried, found, total);
+                damping *= 0.2;
+                if enough {
+                    break;
+                }
+            } else {
+                damping *= 20.0;
+            }
+            step = shared_step(&shared, start, &figure, frames, &poses, known, damping);
+            if step.is_none() {
+                break;
+            }
+        }
+        update_sigmas(&mut figure, frames, &poses);
+    }
+    let residual_m = rms(&figure, frames, &poses);
+    Fitted { figure, poses, residual_m }
+}
+
+fn evidence(seen: &Seen) -> Evidence<'_> {
+    Evidence { markers_m: &seen.markers_m, pins: &seen.pins, orientations: &seen.orientations }
+}
+
+fn solver_of(figure: &Figure, frames: &[Seen]) -> Solver {
+    let told = frames.iter().flat_map(|f| f.orientations.iter().map(|o| o.joint).chain(f.pins.iter().map(|p| p.joint)));
+    Solver::of(figure, told)
+}
+
+fn solve_all(figure: &Figure, frames: &[Seen], poses: &[Pose]) -> (Vec<Pose>, f64) {
+    let solver = solver_of(figure, frames);
+    let solve = |(seen, pose): (&Seen, &Pose)| solver.clone().solve(figure, pose.clone(), evidence(seen), None);
+    let solved: Vec<_> = frames.par_iter().zip(poses.par_iter()).map(solve).collect();
+    let cost = solved.iter().map(|s| s.cost).sum();
+    (solved.into_iter().map(|s| s.pose).collect(), cost)
+}
+
+/// Differences from what is known: (columns with signs, difference, standard deviation).
+fn knowledge(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) -> Vec<(Vec<(usize, f64)>, f64, f64)> {
+    let mut rows = Vec::new();
+    for (i, &j) in shared.joints.iter().enumerate() {
+        let off = figure.joints[j].offset_m - start.joints[j].offset_m;
+        for k in 0..3 {
+            rows.push((vec![(3 * i + k, 1.0)], off[k], known.offset_sd_m[j][k]));
+        }
+    }
+    for m in 0..shared.markers {
+        let off = figure.markers[m].place_m - start.markers[m].place_m;
+        for k in 0..3 {
+            rows.push((vec![(shared.of_marker(m) + k, 1.0)], off[k], known.place_sd_m[m]));
+        }
+    }
+    for &(left, right, sd) in &known.mirrored {
+        let (Some(l), Some(r)) = (shared.column_of[left], shared.column_of[right]) else { continue };
+        let (a, b) = (figure.joints[left].offset_m, figure.joints[right].offset_m);
+        for k in 0..3 {
+            let sign = if k == 0 { 1.0 } else { -1.0 };
+            rows.push((vec![(l + k, 1.0), (r + k, sign)], a[k] + sign * b[k], sd));
+        }
+    }
+    rows
+}
+
+fn prior_cost(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) -> f64 {
+    knowledge(shared, start, figure, known).iter().map(|(_, off, sd)| 0.5 * (off / sd).powi(2)).sum()
+}
+
+/// The best change of the shared parameters with the poses following.
+fn shared_step(
+    shared: &Shared,
+    start: &Figure,
+    figure: &Figure,
+    frames: &[Seen],
+    poses: &[Pose],
+    known: &Known,
+    damping: f64,
+) -> Option<DVector<f64>> {
+    let n = shared.len();
+    let (mut h, mut g) = (DMatrix::zeros(n, n), DVector::zeros(n));
+    let solver = solver_of(figure, frames);
+    for (seen, pose) in frames.chunks(BATCH).zip(poses.chunks(BATCH)) {
+        let reduced: Vec<_> = seen
+            .par_iter()
+            .zip(pose.par_iter())
+            .map(|(seen, pose)| reduced(shared, figure, solver.clone(), seen, pose))
+            .collect();
+        for (own, gradient) in reduced.into_iter().flatten() {
+            h += own;
+            g += gradient;
+        }
+    }
+    for (columns, off, sd) in knowledge(shared, start, figure, known) {
+        let weight = 1.0 / (sd * sd);
+        for &(a, x) in &columns {
+            g[a] += weight * x * off;
+            for &(b, y) in &columns {
+                h[(a, b)] += weight * x * y;
+            }
+        }
+    }
+    for k in 0..n {
+        h[(k, k)] *= 1.0 + damping;
+    }
+    h.cholesky().map(|factor| -factor.solve(&g))
+}
+
+/// What one frame says of the shared parameters once its pose is eliminated.
+fn reduced(
+    shared: &Shared,
+    figure: &Figure,
+    mut solver: Solver,
+    seen: &Seen,
+    pose: &Pose,
+) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    solver.assemble(figure, pose, evidence(seen), None, 1.0);
+    let all = segments(&figure.joints, pose);
+    let twists = solver.twists(&figure.joints, pose, &all);
+    let (n, poses) = (shared.len(), solver.columns.len());
+    let last = solver.last_columns(&figure.joints);
+    let (mut h, mut g, mut mixed) = (DMatrix::zeros(n, n), DVector::zeros(n), DMatrix::zeros(poses, n));
+    let mut own: Vec<(usize, Matrix3<f64>)> = Vec::new();
+    for (m, marker) in figure.markers.iter().enumerate() {
+        let Some(Some(seen)) = seen.markers_m.get(m) else { continue };
+        let x = all[marker.joint].place(&marker.place_m);
+        let off = x - seen;
+        let information = 1.0 / (marker.sigma_m * marker.sigma_m);
+        let weight = trust(off.norm_squared() * information, 1.0) * information;
+        own.clear();
+        own.push((shared.of_marker(m), *all[marker.joint].turn.matrix()));
+        let mut at = marker.joint;
+        while let Some(p) = figure.joints[at].parent {
+            own.extend(shared.column_of[at].map(|column| (column, *all[p].turn.matrix())));
+            at = p;
+        }
+        for (a, turn_a) in &own {
+            let pull = turn_a.transpose() * off * weight;
+            let mut rows = g.fixed_rows_mut::<3>(*a);
+            rows += pull;
+            for (b, turn_b) in &own {
+                let mut block = h.fixed_view_mut::<3, 3>(*a, *b);
+                block += turn_a.transpose() * turn_b * weight;
+            }
+        }
+        let relative = x - pose.root_m;
+        let mut column = Some(last[marker.joint]);
+        while let Some(c) = column {
+            let moves = velocity(&twists[c], &relative);
+            for (a, turn) in &own {
+                let part = moves.transpose() * turn * weight;
+                for k in 0..3 {
+                    mixed[(c, a + k)] += part[k];
+                }
+            }
+            column = solver.normal.above(c);
+        }
+    }
+    let factor = solver.normal.factor(0.0)?;
+    for mut column in mixed.column_iter_mut() {
+        factor.half(column.as_mut_slice());
+    }
+    let mut gradient = DVector::from_column_slice(&solver.normal.g);
+    factor.half(gradient.as_mut_slice());
+    let across = mixed.transpose();
+    h -= &across * &mixed;
+    g -= across * gradient;
+    Some((h, g))
+}
+
+/// Each marker's sigma from its residuals, which are smaller than its noise by what went into the poses (its leverage).
+/// Without that a marker that decides over a joint would seem ever more exact.
+fn update_sigmas(figure: &mut Figure, frames: &[Seen], poses: &[Pose]) {
+    let solver = solver_of(figure, frames);
+    let own = |(seen, pose): (&Seen, &Pose)| {
+        let leverage = solver.clone().leverage(figure, pose, evidence(seen));
+        (residuals(figure, pose, &seen.markers_m), leverage.unwrap_or_default())
+    };
+    let all: Vec<_> = frames.par_iter().zip(poses.par_iter()).map(own).collect();
+    for (m, marker) in figure.markers.iter_mut().enumerate() {
+        let mut squares: Vec<f64> = all.iter().filter_map(|(off, _)| off.get(m).copied().flatten()).map(|o| o * o).collect();
+        let left: Vec<f64> = all.iter().filter_map(|(_, leverage)| leverage.get(m).copied().flatten()).map(|l| 1.0 - l).collect();
+        if squares.len() < 4 || left.is_empty() {
+            continue;
+        }
+        let middle = squares.len() / 2;
+        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+        let share = (left.iter().sum::<f64>() / left.len() as f64).max(LEAST_SHARE);
+        marker.sigma_m = (*median / MEDIAN_CHI2 / share).sqrt().clamp(SIGMA[0], SIGMA[1]);
+    }
+}
+
+fn rms(figure: &Figure, frames: &[Seen], poses: &[Pose]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for (seen, pose) in frames.iter().zip(poses) {
+        for (off, marker) in residuals(figure, pose, &seen.markers_m).into_iter().zip(&figure.markers) {
+            if let Some(off) = off.filter(|o| *o < 8.0 * marker.sigma_m) {
+                sum += off * off;
+                count += 1;
+            }
+        }
+    }
+    (sum / count.max(1) as f64).sqrt()
+}

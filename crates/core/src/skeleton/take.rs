@@ -1,0 +1,420 @@
+//! A whole take: followed forwards frame by frame (live is the same), then solved once more with what both sides of
+//! each frame say of it.
+//!
+//! What the neighbours say of a component is its smoothed value without the frame itself: a Kalman filter and
+//! Rauch–Tung–Striebel smoother per component, with the take's own accelerations as noise, and the frame's part taken
+//! out again. Where the markers say much, this changes little; where they are gone, it is all there is.
+
+use super::kinematics::{best_turn, segments};
+use super::solve::{Certainty, Evidence, Orientation, Pin, Prior, Solved, Solver};
+use super::{Figure, Pose};
+use nalgebra::{Matrix2, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector2, Vector3};
+
+/// Largest acceleration that bodies have and live following expects: of turns (rad/s²) and of the root (m/s²).
+const TURN_ACCELERATION: f64 = 300.0;
+const ROOT_ACCELERATION: f64 = 60.0;
+/// Least acceleration of turns (rad/s²) and of the root (m/s²) that smoothing expects.
+const LEAST_TURN: f64 = 2.0;
+const LEAST_ROOT: f64 = 0.5;
+/// How fast the velocity of what is not seen dies away (1/s).
+const DECAY: f64 = 8.0;
+/// A component is observed where its variance is below this part of that of rest.
+const OBSERVED: f64 = 0.2;
+/// A marker this far from its place (in its sigmas, and at least so much, m) does not follow the pose.
+const LOST_SIGMAS: f64 = 10.0;
+const LOST_M: f64 = 0.03;
+/// 90 % quantile of the square of a standard normal number.
+const CHI2_90: f64 = 2.706;
+
+/// Everything observed in one frame.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// One entry per marker of the figure, or none at all.
+    pub markers_m: Vec<Option<Vector3<f64>>>,
+    /// Places that are known.
+    pub pins: Vec<Pin>,
+    /// Orientations that are known.
+    pub orientations: Vec<Orientation>,
+}
+
+impl Seen {
+    fn evidence(&self) -> Evidence<'_> {
+        Evidence { markers_m: &self.markers_m, pins: &self.pins, orientations: &self.orientations }
+    }
+
+    fn count(&self) -> usize {
+        self.markers_m.iter().flatten().count() + self.pins.len() + 2 * self.orientations.len()
+    }
+}
+
+/// One frame of a solved take.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The pose.
+    pub pose: Pose,
+    /// How certain it is; `None` where nothing at all is known.
+    pub certainty: Option<Certainty>,
+}
+
+/// Follows a figure frame by frame.
+#[derive(Clone, Debug)]
+pub struct Follower {
+    figure: Figure,
+    solver: Solver,
+    step_s: f64,
+    now: Option<Pose>,
+    before: Option<Pose>,
+    /// Frames since each joint's turn was last told by markers below it; the root's is entry 0.
+    unseen: Vec<usize>,
+}
+
+impl Follower {
+    /// A follower that has seen nothing yet; `also`: joints that pins or orientations may name.
+    pub fn new(figure: Figure, step_s: f64, also: impl IntoIterator<Item = usize>) -> Self {
+        let solver = Solver::of(&figure, also);
+        let unseen = vec![0; figure.joints.len()];
+        Self { figure, solver, step_s, now: None, before: None, unseen }
+    }
+
+    /// The next frame. Before anything was seen, `None`.
+    pub fn push(&mut self, seen: &Seen) -> Option<Solved> {
+        let enough = seen.count() >= 3;
+        let solved = match &self.now {
+            None if !enough => return None,
+            None => self.first(seen),
+            Some(now) => {
+                let prior = self.expected(now);
+                let tracked = self.solver.solve(&self.figure, prior.pose.clone(), seen.evidence(), Some(&prior));
+                self.again_if_lost(seen, tracked)
+            }
+        };
+        self.note(seen);
+        self.before = self.now.replace(solved.pose.clone());
+        Some(solved)
+    }
+
+    /// Start over where the pose went astray: where a segment's markers are all far from where it has them, the joints
+    /// above it are searched again from rest; where most markers are, everything is.
+    fn again_if_lost(&mut self, seen: &Seen, tracked: Solved) -> Solved {
+        let off = super::solve::residuals(&self.figure, &tracked.pose, &seen.markers_m);
+        let n = self.figure.joints.len();
+        let (mut near, mut far) = (vec![0usize; n], vec![0usize; n]);
+        for (off, marker) in off.iter().zip(&self.figure.markers) {
+            let Some(off) = off else { continue };
+            let count = if *off > LOST_SIGMAS * marker.sigma_m.max(LOST_M / LOST_SIGMAS) { &mut far } else { &mut near };
+            count[marker.joint] += 1;
+        }
+        let lost: Vec<usize> = (1..n).filter(|&j| near[j] == 0 && far[j] > 0).collect();
+        if lost.is_empty() {
+            return tracked;
+        }
+        let mut pose = tracked.pose.clone();
+        for &j in &lost {
+            let mut at = j;
+            while at > 0 && near[at] == 0 {
+                pose.turns[at] = Vector3::zeros();
+                at = self.figure.joints[at].parent.unwrap_or(0);
+            }
+        }
+        let mut best = tracked;
+        let mut found = self.solver.solve(&self.figure, pose, seen.evidence(), None);
+        if found.cost < best.cost {
+            std::mem::swap(&mut best, &mut found);
+        }
+        let total = |count: &[usize]| count.iter().sum::<usize>();
+        if total(&far) > total(&near) {
+            let anew = self.first(seen);
+            if anew.cost < best.cost {
+                return anew;
+            }
+        }
+        best
+    }
+
+    /// The pose of a frame without history: the rest pose laid onto the markers, and several others.
+    fn first(&mut self, seen: &Seen) -> Solved {
+        let mut best: Option<Solved> = None;
+        for start in starts(&self.figure, seen, &self.solver) {
+            let found = self.solver.solve(&self.figure, start, seen.evidence(), None);
+            if best.as_ref().is_none_or(|b| found.cost < b.cost) {
+                best = Some(found);
+            }
+        }
+        best.expect("there is always a start")
+    }
+
+    /// What the last two frames let expect.
+    fn expected(&self, now: &Pose) -> Prior {
+        let dt = self.step_s;
+        let mut pose = now.clone();
+        let growth = |unseen: usize| 1.0 + unseen as f64;
+        let keep = |unseen: usize| if unseen == 0 { 1.0 } else { (-DECAY * dt * unseen as f64).exp() };
+        if let Some(before) = &self.before {
+            pose.root_m += (now.root_m - before.root_m) * keep(self.unseen[0]);
+            let turned = (now.root * before.root.inverse()).scaled_axis() * keep(self.unseen[0]);
+            pose.root = Rotation3::new(turned) * now.root;
+            for (j, turn) in pose.turns.iter_mut().enumerate() {
+                let moved = now.turns[j] - before.turns[j];
+                if moved.norm() < 1.0 {
+                    *turn += moved * keep(self.unseen[j]);
+                }
+            }
+        }
+        let turn = TURN_ACCELERATION * dt * dt;
+        let sd = |j: usize| Vector3::repeat((turn * growth(self.unseen[j])).min(3.0));
+        Prior {
+            pose,
+            turn_sd_rad: (0..self.figure.joints.len()).map(sd).collect(),
+            root_sd_m: Vector3::repeat(ROOT_ACCELERATION * dt * dt * growth(self.unseen[0])),
+            root_sd_rad: (turn * growth(self.unseen[0])).min(3.0),
+        }
+    }
+
+    fn note(&mut self, seen: &Seen) {
+        let n = self.figure.joints.len();
+        let mut told = vec![false; n];
+        let markers = self.figure.markers.iter().zip(&seen.markers_m).filter(|(_, s)| s.is_some());
+        let joints = markers.map(|(m, _)| m.joint).chain(seen.pins.iter().map(|p| p.joint));
+        for j in joints.chain(seen.orientations.iter().map(|o| o.joint)) {
+            told[j] = true;
+        }
+        for j in (1..n).rev() {
+            if told[j] {
+                told[self.figure.joints[j].parent.unwrap_or(0)] = true;
+            }
+        }
+        for (unseen, told) in self.unseen.iter_mut().zip(told) {
+            *unseen = if told { 0 } else { *unseen + 1 };
+        }
+    }
+}
+
+/// Poses to start from: rest, arms raised or lowered and knees bent a little by limits, laid onto the markers.
+fn starts(figure: &Figure, seen: &Seen, solver: &Solver) -> Vec<Pose> {
+    let rest = figure.rest();
+    let mut out = vec![laid(figure, rest.clone(), seen)];
+    for share in [0.35_f64, -0.35] {
+        let mut bent = rest.clone();
+        for (j, (joint, turn)) in figure.joints.iter().zip(&mut bent.turns).enumerate().skip(1) {
+            for k in (0..3).filter(|&k| joint.free[k] && solver.turns(j)) {
+                let [low, high] = joint.limits_rad[k];
+                let towards = if share > 0.0 { high } else { low };
+                if towards.abs() < std::f64::consts::PI {
+                    turn[k] = share.abs() * towards;
+                }
+            }
+        }
+        out.push(laid(figure, bent, seen));
+    }
+    out
+}
+
+/// A pose moved and turned as a whole so that its markers lie on the observed ones as well as they can.
+fn laid(figure: &Figure, mut pose: Pose, seen: &Seen) -> Pose {
+    let all = segments(&figure.joints, &pose);
+    let markers = figure.markers.iter().zip(&seen.markers_m);
+    let mut pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)> =
+        markers.filter_map(|(m, s)| s.map(|s| (all[m.joint].place(&m.place_m), s, depth(figure, m.joint)))).collect();
+    pairs.extend(seen.pins.iter().map(|p| (all[p.joint].place(&p.place_m), p.target_m, depth(figure, p.joint))));
+    if let Some(known) = seen.orientations.iter().min_by_key(|o| o.joint) {
+        let turn = known.target * all[known.joint].turn.inverse();
+        pose.root = turn * pose.root;
+        if let Some((here, there, _)) = pairs.first() {
+            pose.root_m = there - turn * (here - pose.root_m);
+        }
+        return pose;
+    }
+    let weight: f64 = pairs.iter().map(|p| p.2).sum();
+    let here = pairs.iter().map(|p| p.0 * p.2).sum::<Vector3<f64>>() / weight;
+    let there = pairs.iter().map(|p| p.1 * p.2).sum::<Vector3<f64>>() / weight;
+    let spread: Matrix3<f64> = pairs.iter().map(|p| (p.1 - there) * (p.0 - here).transpose() * p.2).sum();
+    let turn = best_turn(&spread);
+    pose.root_m = there + turn * (pose.root_m - here);
+    pose.root = turn * pose.root;
+    pose
+}
+
+/// Weight of a segment's markers for laying a pose: the trunk counts most.
+fn depth(figure: &Figure, joint: usize) -> f64 {
+    let moving = std::iter::successors(Some(joint), |&j| figure.joints[j].parent).count();
+    1.0 / (moving * moving) as f64
+}
+
+/// A whole take. Frames before anything was seen get the first pose that was found.
+pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen]) -> Vec<Frame> {
+    let also = frames.iter().flat_map(|f| f.pins.iter().map(|p| p.joint).chain(f.orientations.iter().map(|o| o.joint)));
+    let mut also: Vec<usize> = also.collect();
+    also.sort_unstable();
+    also.dedup();
+    let mut follower = Follower::new(figure.clone(), step_s, also.iter().copied());
+    let mut poses: Vec<Option<Pose>> = frames.iter().map(|f| follower.push(f).map(|s| s.pose)).collect();
+    let first = poses.iter().flatten().next().cloned().unwrap_or_else(|| figure.rest());
+    let poses: Vec<Pose> = poses.drain(..).map(|p| p.unwrap_or_else(|| first.clone())).collect();
+    let mut solver = Solver::of(figure, also);
+    let certain: Vec<Option<Certainty>> =
+        frames.iter().zip(&poses).map(|(f, p)| solver.certainty(figure, p, f.evidence(), None)).collect();
+    let priors = neighbours(figure, step_s, &poses, &certain);
+    let mut out = Vec::with_capacity(frames.len());
+    for (seen, prior) in frames.iter().zip(&priors) {
+        let solved = solver.solve(figure, prior.pose.clone(), seen.evidence(), Some(prior));
+        let certainty = solver.certainty(figure, &solved.pose, seen.evidence(), Some(prior));
+        out.push(Frame { pose: solved.pose, certainty });
+    }
+    out
+}
+
+/// For every frame, what the others say of it.
+fn neighbours(figure: &Figure, step_s: f64, poses: &[Pose], certain: &[Option<Certainty>]) -> Vec<Prior> {
+    let n = poses.len();
+    let mut priors: Vec<Prior> = poses
+        .iter()
+        .map(|pose| Prior {
+            pose: pose.clone(),
+            turn_sd_rad: vec![Vector3::repeat(f64::INFINITY); figure.joints.len()],
+            root_sd_m: Vector3::repeat(f64::INFINITY),
+            root_sd_rad: f64::INFINITY,
+        })
+        .collect();
+    for (j, joint) in figure.joints.iter().enumerate().skip(1) {
+        let mut turns: Vec<Vector3<f64>> = poses.iter().map(|p| p.turns[j]).collect();
+        for t in 1..n {
+            turns[t] = joint.near(&turns[t], &turns[t - 1]);
+        }
+        for k in 0..3 {
+            let rest = joint.rest_sd_rad[k] * joint.rest_sd_rad[k];
+            let variance: Vec<f64> =
+                certain.iter().map(|c| data_alone(c.as_ref().map_or(f64::INFINITY, |c| c.turn_rad2[j][k]), rest)).collect();
+            let values: Vec<f64> = turns.iter().map(|t| t[k]).collect();
+            for (t, (mean, sd)) in without_itself(&values, &variance, step_s, LEAST_TURN).into_iter().enumerate() {
+                // The frame's own vector may be the other one of the same rotation.
+                priors[t].pose.turns[j][k] = mean + poses[t].turns[j][k] - turns[t][k];
+                priors[t].turn_sd_rad[j][k] = sd;
+            }
+        }
+    }
+    for k in 0..3 {
+        let values: Vec<f64> = poses.iter().map(|p| p.root_m[k]).collect();
+        let variance: Vec<f64> = certain.iter().map(|c| c.as_ref().map_or(f64::INFINITY, |c| c.root_m2[k])).collect();
+        for (t, (mean, sd)) in without_itself(&values, &variance, step_s, LEAST_ROOT).into_iter().enumerate() {
+            priors[t].pose.root_m[k] = mean;
+            priors[t].root_sd_m[k] = sd;
+        }
+    }
+    root_turns(step_s, poses, certain, &mut priors);
+    priors
+}
+
+/// The root's turn by the four numbers of its quaternion, each along time.
+fn root_turns(step_s: f64, poses: &[Pose], certain: &[Option<Certainty>], priors: &mut [Prior]) {
+    let mut quaternions: Vec<Quaternion<f64>> =
+        poses.iter().map(|p| UnitQuaternion::from_rotation_matrix(&p.root).into_inner()).collect();
+    for t in 1..quaternions.len() {
+        if quaternions[t].dot(&quaternions[t - 1]) < 0.0 {
+            quaternions[t] = -quaternions[t];
+        }
+    }
+    let variance: Vec<f64> =
+        certain.iter().map(|c| c.as_ref().map_or(f64::INFINITY, |c| 0.25 * c.root_rad2.max())).collect();
+    let mut sums = vec![(Vec::with_capacity(4), 0.0f64); poses.len()];
+    for k in 0..4 {
+        let values: Vec<f64> = quaternions.iter().map(|q| q.coords[k]).collect();
+        for (sum, (mean, sd)) in sums.iter_mut().zip(without_itself(&values, &variance, step_s, 0.5 * LEAST_TURN)) {
+            sum.0.push(mean);
+            sum.1 = sum.1.max(2.0 * sd);
+        }
+    }
+    for (prior, (q, sd)) in priors.iter_mut().zip(sums) {
+        let mean = UnitQuaternion::from_quaternion(Quaternion::new(q[3], q[0], q[1], q[2]));
+        prior.pose.root = mean.to_rotation_matrix();
+        prior.root_sd_rad = sd;
+    }
+}
+
+/// Variance that the data alone give, where a prior of variance `rest` was in it; infinite where they say little.
+fn data_alone(variance: f64, rest: f64) -> f64 {
+    if variance > OBSERVED * rest || variance.is_infinite() {
+        return f64::INFINITY;
+    }
+    if rest.is_infinite() { variance } else { 1.0 / (1.0 / variance - 1.0 / rest) }
+}
+
+/// For every sample, what the others say: mean and standard deviation (infinite where they say nothing).
+///
+/// The state is value and velocity, moved by white acceleration of the size that the series itself shows.
+fn without_itself(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f64, f64)> {
+    let known = variance.iter().filter(|v| v.is_finite()).count();
+    if known < 2 {
+        return values.iter().map(|&v| (v, f64::INFINITY)).collect();
+    }
+    let acceleration = shown_acceleration(values, variance, step_s).max(least);
+    let (mean, spread) = smoothed(values, variance, step_s, acceleration);
+    let take_out = |t: usize| {
+        let share = spread[t] / variance[t];
+        if variance[t].is_infinite() {
+            (mean[t], spread[t].sqrt())
+        } else if share > 0.999 {
+            (values[t], f64::INFINITY)
+        } else {
+            ((mean[t] - share * values[t]) / (1.0 - share), (spread[t] / (1.0 - share)).sqrt())
+        }
+    };
+    (0..values.len()).map(take_out).collect()
+}
+
+/// Size of the accelerations in a series, noise taken off; the larger ones count.
+fn shown_acceleration(values: &[f64], variance: &[f64], step_s: f64) -> f64 {
+    let square = |t: usize| {
+        let noise: f64 = variance[t - 1] + 4.0 * variance[t] + variance[t + 1];
+        let bend = values[t - 1] - 2.0 * values[t] + values[t + 1];
+        noise.is_finite().then(|| (bend * bend - CHI2_90 * noise).max(0.0) / step_s.powi(4))
+    };
+    let mut squares: Vec<f64> = (1..values.len().saturating_sub(1)).filter_map(square).collect();
+    if squares.is_empty() {
+        return 0.0;
+    }
+    let at = (squares.len() * 9 / 10).min(squares.len() - 1);
+    let (_, high, _) = squares.select_nth_unstable_by(at, f64::total_cmp);
+    (*high / CHI2_90).sqrt()
+}
+
+/// Mean and variance of every sample given all (Rauch, Tung & Striebel 1965).
+fn smoothed(values: &[f64], variance: &[f64], dt: f64, acceleration: f64) -> (Vec<f64>, Vec<f64>) {
+    let n = values.len();
+    let first = variance.iter().position(|v| v.is_finite()).unwrap_or(0);
+    let go = Matrix2::new(1.0, dt, 0.0, 1.0);
+    let noise = Matrix2::new(dt.powi(4) / 4.0, dt.powi(3) / 2.0, dt.powi(3) / 2.0, dt * dt) * acceleration.powi(2);
+    let velocity = acceleration * 0.2;
+    let mut x = Vector2::new(values[first], 0.0);
+    let mut p = Matrix2::new(1e2, 0.0, 0.0, velocity * velocity + 1e-6);
+    let (mut filtered, mut predicted) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for t in 0..n {
+        if t > 0 {
+            x = go * x;
+            p = go * p * go.transpose() + noise;
+        }
+        predicted.push((x, p));
+        if variance[t].is_finite() {
+            let total = p[(0, 0)] + variance[t];
+            let gain = p.column(0) / total;
+            x += gain * (values[t] - x[0]);
+            let row = p.row(0).into_owned();
+            p -= gain * row;
+            p = (p + p.transpose()) * 0.5;
+        }
+        filtered.push((x, p));
+    }
+    let (mut mean, mut spread) = (vec![0.0; n], vec![0.0; n]);
+    let (mut later_x, mut later_p) = filtered[n - 1];
+    for t in (0..n).rev() {
+        if t + 1 < n {
+            let (x, p) = filtered[t];
+            let (ahead_x, ahead_p) = predicted[t + 1];
+            let back = p * go.transpose() * ahead_p.try_inverse().unwrap_or_else(Matrix2::zeros);
+            later_x = x + back * (later_x - ahead_x);
+            later_p = p + back * (later_p - ahead_p) * back.transpose();
+        }
+        mean[t] = later_x[0];
+        spread[t] = later_p[(0, 0)].max(1e-18);
+    }
+    (mean, spread)
+}
