@@ -154,13 +154,20 @@ impl PyFigure {
         for (f, frame) in solved.iter().enumerate() {
             let Some(certain) = &frame.certainty else { continue };
             for j in 0..n {
-                place[(f, j)] = certain.joint_m2[j].trace().max(0.0).sqrt();
+                place[(f, j)] = certain.joint_m2[j].max(0.0).sqrt();
                 let own = if j == 0 { certain.root_rad2 } else { certain.turn_rad2[j] };
                 (0..3).for_each(|k| turn[(f, j, k)] = own[k].max(0.0).sqrt());
             }
         }
         let poses: Vec<&Pose> = solved.iter().map(|f| &f.pose).collect();
         Ok((as_arrays(py, &poses, n), (place.into_pyarray(py), turn.into_pyarray(py))))
+    }
+
+    /// Poses of frames that know nothing of each other.
+    fn pose<'py>(&self, py: Python<'py>, xyz_m: PyReadonlyArray3<'py, f64>) -> PyResult<Poses<'py>> {
+        let frames = self.seen(&xyz_m, Vec::new(), Vec::new())?;
+        let poses = py.detach(|| alone(&self.inner, &frames));
+        Ok(as_arrays(py, &poses.iter().collect::<Vec<_>>(), self.inner.joints.len()))
     }
 
     /// The figure fitted to frames, from poses to start with; `None` for them: each frame is solved on its own first.

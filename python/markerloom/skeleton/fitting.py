@@ -8,6 +8,7 @@ shows them; where it does not, they stay where rules and proportions have them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 
 from markerloom import _core
 from markerloom.errors import InputError
+from markerloom.skeleton.by_motion import rigid
 from markerloom.skeleton.centers import motion_centers, with_centers
+from markerloom.skeleton.definition import hanim
 from markerloom.skeleton.motion import Motion, turns_of
 from markerloom.skeleton.placing import Hints, Placed, place_markers
 from markerloom.skeleton.rules import rule_centers
@@ -92,7 +95,7 @@ def fit_skeleton(
     seen_m = xyz_m[:, column]
     if not np.isfinite(seen_m).all(axis=2).any():
         raise InputError(f"none of the markers on segments is ever there ({source})")
-    stature = stature_m(seen_m, placed, skeleton)
+    stature = _stature_m(names, seen_m, placed, skeleton, known, source)
     body = skeleton.scaled(stature / (skeleton.stature_m or _height(skeleton)))
     places = _first_places(body, placed, stature)
     exact = np.isfinite(placed.place).all(axis=1)
@@ -127,15 +130,24 @@ def fit_skeleton(
 
 def _posed(figure: _core.Figure, body: Skeleton, keys_m: Array) -> Motion:
     """The body posed in frames, nothing of it changed."""
-    markers = keys_m.shape[1]
-    nothing = np.zeros((len(body), 3)).tolist()
-    _, poses, _ = figure.fit(keys_m, None, nothing, [1e-6] * markers, [], [], [])
+    poses = figure.pose(keys_m)
     return Motion(body, poses[0], turns_of(body, poses), 1.0)
 
 
 def _height(skeleton: Skeleton) -> float:
     places = skeleton.places_m()
     return float(np.ptp(places[:, 2])) or 1.0
+
+
+def _stature_m(
+    names: list[str], seen_m: Array, placed: Placed, skeleton: Skeleton, known: Hints | MarkerSet | None, source: str
+) -> float:
+    """The stature; of H-Anim's levels by the first, whose segments are those that markers tell apart."""
+    if skeleton.name.startswith("hanim-") and len(skeleton) > len(hanim(1)):
+        simple = hanim(1)
+        with suppress(InputError):
+            return stature_m(seen_m, place_markers(names, simple, known, source), simple)
+    return stature_m(seen_m, placed, skeleton)
 
 
 def stature_m(seen_m: Array, placed: Placed, skeleton: Skeleton) -> float:
@@ -280,10 +292,18 @@ def _without_places(
     places = np.array([_middle(body, joint) for joint in joints])
     rough = figure_of(body, joints, places, np.full(len(joints), 0.03 * stature))
     turn, at = _posed(rough, body, middles).segments()
-    found = np.array(
-        [
-            np.nanmedian(np.einsum("fba,fb->fa", turn[:, j], keys_m[:, m] - at[:, j]), axis=0)
-            for m, j in enumerate(placed.joints)
-        ]
-    )
+    found = np.zeros((len(placed), 3))
+    for joint, rows in zip(joints, own, strict=True):
+        local = np.einsum("fba,fmb->fma", turn[:, joint], keys_m[:, rows] - at[:, joint, None])
+        found[rows] = _steady(local) if len(rows) >= 3 else np.nanmedian(local, axis=0)
     return figure_of(body, placed.joints, found, np.full(len(placed), 0.02 * stature)), found
+
+
+def _steady(local_m: Array) -> Array:
+    """Where a segment's markers (frames, markers ≥ 3, 3) are in its axes on average, their own shape kept."""
+    shape = rigid(local_m)
+    there = np.isfinite(shape.turn).all(axis=(1, 2))
+    u, _, vt = np.linalg.svd(shape.turn[there].mean(axis=0))
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    middle = np.nanmedian(local_m.mean(axis=1), axis=0)
+    return middle + (shape.shape_m - shape.shape_m.mean(axis=0)) @ turn.T

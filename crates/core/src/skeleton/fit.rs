@@ -14,11 +14,11 @@ use rayon::prelude::*;
 const ROUNDS: usize = 4;
 const STEPS: usize = 12;
 /// A round ends when a step lowers the cost by less than this part.
-const ENOUGH: f64 = 1e-5;
+const ENOUGH: f64 = 1e-4;
 /// Least and largest sigma of a marker (m).
 const SIGMA: [f64; 2] = [0.0003, 0.05];
-/// Median of the squared length of a vector of three standard normal components.
-const MEDIAN_CHI2: f64 = 2.366;
+/// No marker is this many times better or worse than the typical one: few markers on a segment cannot tell.
+const UNLIKE: f64 = 2.0;
 /// At least this share of a marker's noise is taken to be left in its residuals.
 const LEAST_SHARE: f64 = 0.1;
 /// Frames whose equations are held at once.
@@ -88,26 +88,26 @@ pub fn fit(start: &Figure, frames: &[Seen], poses: Vec<Pose>, known: &Known) -> 
     let mut figure = start.clone();
     let mut poses = poses;
     for _ in 0..ROUNDS {
-        let mut cost = f64::INFINITY;
         let mut damping = 1e-6;
-        let mut step = None;
+        let (found, at) = solve_all(&figure, frames, &poses);
+        let mut cost = at + prior_cost(&shared, start, &figure, known);
+        poses = found;
+        let mut rejected = 0;
         for _ in 0..STEPS {
-            let tried = step.as_ref().map_or_else(|| figure.clone(), |s| shared.moved(&figure, s));
+            let Some(step) = shared_step(&shared, start, &figure, frames, &poses, known, damping) else { break };
+            let tried = shared.moved(&figure, &step);
             let (found, at) = solve_all(&tried, frames, &poses);
             let total = at + prior_cost(&shared, start, &tried, known);
-            if std::env::var("FITDBG").is_ok() { eprintln!("cost {total} damping {damping}"); }
-            if total <= cost {
-                let enough = cost.is_finite() && cost - total < ENOUGH * cost;
+            let gained = cost - total;
+            if gained > 0.0 {
                 (figure, poses, cost) = (tried, found, total);
-                damping *= 0.2;
-                if enough {
-                    break;
-                }
+                damping *= 0.1;
+                rejected = 0;
             } else {
-                damping *= 20.0;
+                damping = 100.0 * damping.max(1e-6);
+                rejected += 1;
             }
-            step = shared_step(&shared, start, &figure, frames, &poses, known, damping);
-            if step.is_none() {
+            if rejected > 2 || (gained > 0.0 && gained < ENOUGH * cost) {
                 break;
             }
         }
@@ -274,16 +274,36 @@ fn update_sigmas(figure: &mut Figure, frames: &[Seen], poses: &[Pose]) {
         (residuals(figure, pose, &seen.markers_m), leverage.unwrap_or_default())
     };
     let all: Vec<_> = frames.par_iter().zip(poses.par_iter()).map(own).collect();
-    for (m, marker) in figure.markers.iter_mut().enumerate() {
-        let mut squares: Vec<f64> = all.iter().filter_map(|(off, _)| off.get(m).copied().flatten()).map(|o| o * o).collect();
-        let left: Vec<f64> = all.iter().filter_map(|(_, leverage)| leverage.get(m).copied().flatten()).map(|l| 1.0 - l).collect();
-        if squares.len() < 4 || left.is_empty() {
-            continue;
+    let own_sigma = |m: usize| {
+        let of = |(off, leverage): &(Vec<Option<f64>>, Vec<Option<f64>>)| {
+            Some((off.get(m).copied().flatten()?, leverage.get(m).copied().flatten()?))
+        };
+        let seen: Vec<(f64, f64)> = all.iter().filter_map(of).collect();
+        if seen.len() < 4 {
+            return None;
         }
-        let middle = squares.len() / 2;
-        let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
-        let share = (left.iter().sum::<f64>() / left.len() as f64).max(LEAST_SHARE);
-        marker.sigma_m = (*median / MEDIAN_CHI2 / share).sqrt().clamp(SIGMA[0], SIGMA[1]);
+        // The scale of Student's t, by the same weights as in the solver (iterated over the rounds).
+        let information = 1.0 / (figure.markers[m].sigma_m * figure.markers[m].sigma_m);
+        let (mut sum, mut weights, mut left) = (0.0, 0.0, 0.0);
+        for (off, leverage) in &seen {
+            let weight = trust(off * off * information, 1.0);
+            sum += weight * off * off;
+            weights += 1.0;
+            left += 1.0 - leverage;
+        }
+        let share = (left / weights).max(LEAST_SHARE);
+        Some((sum / (3.0 * weights * share)).sqrt())
+    };
+    let sigmas: Vec<Option<f64>> = (0..figure.markers.len()).map(own_sigma).collect();
+    let mut known: Vec<f64> = sigmas.iter().flatten().copied().collect();
+    if known.is_empty() {
+        return;
+    }
+    known.sort_unstable_by(f64::total_cmp);
+    let typical = known[known.len() / 2];
+    for (marker, sigma) in figure.markers.iter_mut().zip(sigmas) {
+        let sigma = sigma.unwrap_or(typical).clamp(typical / UNLIKE, typical * UNLIKE);
+        marker.sigma_m = sigma.clamp(SIGMA[0], SIGMA[1]);
     }
 }
 

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use std::f64::consts::PI;
 
 /// Degrees of freedom of the residuals' distribution.
-const NU: f64 = 4.0;
+const NU: f64 = 6.0;
 /// How firm limits are (rad): a degree beyond them costs as much as one standard deviation.
 const LIMIT_SD: f64 = 0.0175;
 const ITERATIONS: usize = 30;
@@ -296,7 +296,7 @@ impl Solver {
         next
     }
 
-    /// How certain a pose is: information of every component by data alone, and covariances of joints.
+    /// How certain a pose is: variances of its components and of the joints' places.
     pub fn certainty(
         &mut self,
         figure: &Figure,
@@ -320,7 +320,7 @@ impl Solver {
                 (j, k) => turn[j][k] = variance,
             }
         }
-        let joint_m2 = self.joint_covariances(figure, pose, &all, &twists, &inverse);
+        let joint_m2 = self.joint_variances(figure, pose, &all, &twists, &inverse);
         Some(Certainty { turn_rad2: turn, root_m2: root_m, root_rad2: root_rad, joint_m2 })
     }
 
@@ -335,8 +335,8 @@ impl Solver {
             let at = all[marker.joint].place(&marker.place_m);
             let information = 1.0 / (marker.sigma_m * marker.sigma_m);
             let weight = trust((at - (*seen)?).norm_squared() * information, 1.0) * information;
-            let covariance = self.covariance(last[marker.joint], &(at - pose.root_m), &twists, &inverse);
-            Some((weight * covariance.trace() / 3.0).min(1.0))
+            let variance = self.variance(last[marker.joint], &(at - pose.root_m), &twists, &inverse);
+            Some((weight * variance / 3.0).min(1.0))
         };
         Some(figure.markers.iter().zip(evidence.markers_m).map(own).collect())
     }
@@ -355,35 +355,43 @@ impl Solver {
         last
     }
 
-    /// Covariance of a point that moves with a column and those above it; `at` from the root.
-    fn covariance(&self, last: usize, at: &Vector3<f64>, twists: &[Vector6<f64>], inverse: &[f64]) -> Matrix3<f64> {
+    /// Variance, over all three axes together, of a point that moves with a column and those above it; `at` from the
+    /// root.
+    fn variance(&self, last: usize, at: &Vector3<f64>, twists: &[Vector6<f64>], inverse: &[f64]) -> f64 {
         let n = self.len();
-        let chain: Vec<usize> = std::iter::successors(Some(last), |&c| self.normal.above(c)).collect();
-        let moves: Vec<Vector3<f64>> = chain.iter().map(|&c| velocity(&twists[c], at)).collect();
-        let mut sum = Matrix3::zeros();
-        for (p, &c) in chain.iter().enumerate() {
-            for (q, &d) in chain.iter().enumerate() {
-                sum += moves[p] * moves[q].transpose() * inverse[c.max(d) * n + c.min(d)];
-            }
+        let chain = || std::iter::successors(Some(last), |&c| self.normal.above(c));
+        let moves: Vec<(usize, Vector3<f64>)> = chain().map(|c| (c, velocity(&twists[c], at))).collect();
+        let mut sum = 0.0;
+        for (p, (c, here)) in moves.iter().enumerate() {
+            let row = &inverse[c * n..(c + 1) * n];
+            sum += row[*c] * here.norm_squared();
+            sum += 2.0 * moves[p + 1..].iter().map(|(d, there)| row[*d] * here.dot(there)).sum::<f64>();
         }
         sum
     }
 
-    fn joint_covariances(
+    /// Variance of the joints' places; those that are not solved for are as certain as what they hang from.
+    fn joint_variances(
         &self,
         figure: &Figure,
         pose: &Pose,
         all: &[Segment],
         twists: &[Vector6<f64>],
         inverse: &[f64],
-    ) -> Vec<Matrix3<f64>> {
+    ) -> Vec<f64> {
         let last = self.last_columns(&figure.joints);
-        let of_joint = |j: usize| {
+        let mut out: Vec<f64> = Vec::with_capacity(figure.joints.len());
+        for (j, joint) in figure.joints.iter().enumerate() {
             // A joint's place does not depend on its own turn.
-            let above = figure.joints[j].parent.map_or(5, |p| last[p]);
-            self.covariance(above, &(all[j].joint_m - pose.root_m), twists, inverse)
-        };
-        (0..figure.joints.len()).map(of_joint).collect()
+            out.push(match joint.parent {
+                Some(p) if last[j] == last[p] => out[p],
+                above => {
+                    let column = above.map_or(5, |p| last[p]);
+                    self.variance(column, &(all[j].joint_m - pose.root_m), twists, inverse)
+                }
+            });
+        }
+        out
     }
 }
 
@@ -396,8 +404,8 @@ pub struct Certainty {
     pub root_m2: Vector3<f64>,
     /// Variance of the root's turn (rad²).
     pub root_rad2: Vector3<f64>,
-    /// Covariance of every joint's place (m²).
-    pub joint_m2: Vec<Matrix3<f64>>,
+    /// Variance of every joint's place, over all three axes together (m²).
+    pub joint_m2: Vec<f64>,
 }
 
 /// Velocity of a point, from the root, under a twist.

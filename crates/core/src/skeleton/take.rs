@@ -23,8 +23,8 @@ const OBSERVED: f64 = 0.2;
 /// A marker this far from its place (in its sigmas, and at least so much, m) does not follow the pose.
 const LOST_SIGMAS: f64 = 10.0;
 const LOST_M: f64 = 0.03;
-/// 90 % quantile of the square of a standard normal number.
-const CHI2_90: f64 = 2.706;
+/// This quantile of a series' accelerations is the size that smoothing expects.
+const SHARPEST: f64 = 0.99;
 
 /// Everything observed in one frame.
 #[derive(Clone, Debug, Default)]
@@ -361,20 +361,20 @@ fn without_itself(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> 
     (0..values.len()).map(take_out).collect()
 }
 
-/// Size of the accelerations in a series, noise taken off; the larger ones count.
+/// Size of the accelerations in a series: that of the sharpest moments, noise included, so that no motion that the data
+/// show is smoothed away.
 fn shown_acceleration(values: &[f64], variance: &[f64], step_s: f64) -> f64 {
-    let square = |t: usize| {
-        let noise: f64 = variance[t - 1] + 4.0 * variance[t] + variance[t + 1];
-        let bend = values[t - 1] - 2.0 * values[t] + values[t + 1];
-        noise.is_finite().then(|| (bend * bend - CHI2_90 * noise).max(0.0) / step_s.powi(4))
+    let bend = |t: usize| {
+        let known = variance[t - 1..=t + 1].iter().all(|v| v.is_finite());
+        known.then(|| (values[t - 1] - 2.0 * values[t] + values[t + 1]).abs() / (step_s * step_s))
     };
-    let mut squares: Vec<f64> = (1..values.len().saturating_sub(1)).filter_map(square).collect();
-    if squares.is_empty() {
+    let mut bends: Vec<f64> = (1..values.len().saturating_sub(1)).filter_map(bend).collect();
+    if bends.is_empty() {
         return 0.0;
     }
-    let at = (squares.len() * 9 / 10).min(squares.len() - 1);
-    let (_, high, _) = squares.select_nth_unstable_by(at, f64::total_cmp);
-    (*high / CHI2_90).sqrt()
+    let at = ((bends.len() as f64 * SHARPEST) as usize).min(bends.len() - 1);
+    let (_, high, _) = bends.select_nth_unstable_by(at, f64::total_cmp);
+    *high
 }
 
 /// Mean and variance of every sample given all (Rauch, Tung & Striebel 1965).
