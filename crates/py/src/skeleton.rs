@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 type Pins = Vec<(usize, usize, [f64; 3], [f64; 3], f64)>;
 type Orientations = Vec<(usize, usize, [f64; 3], f64)>;
 type Poses<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
+type GivenPoses<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray3<'py, f64>);
 type Certain<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>);
 
 /// A skeleton that wears markers: lengths in metres, angles in radians.
@@ -47,6 +48,17 @@ fn as_arrays<'py>(py: Python<'py>, poses: &[&Pose], joints: usize) -> Poses<'py>
         rows(poses.iter().map(|p| p.root.scaled_axis())).into_pyarray(py),
         turns.into_pyarray(py),
     )
+}
+
+fn as_poses(given: &GivenPoses<'_>, frames: usize) -> Vec<Pose> {
+    let (root, root_turn, turns) = (given.0.as_array(), given.1.as_array(), given.2.as_array());
+    (0..frames)
+        .map(|f| Pose {
+            root_m: vector(root.row(f)),
+            root: Rotation3::new(vector(root_turn.row(f))),
+            turns: turns.index_axis(numpy::ndarray::Axis(0), f).outer_iter().map(vector).collect(),
+        })
+        .collect()
 }
 
 impl PyFigure {
@@ -145,9 +157,11 @@ impl PyFigure {
         step_s: f64,
         pins: Pins,
         orientations: Orientations,
+        poses: Option<GivenPoses<'py>>,
     ) -> PyResult<(Poses<'py>, Certain<'py>)> {
         let frames = self.seen(&xyz_m, pins, orientations)?;
-        let solved = py.detach(|| solve_take(&self.inner, step_s, &frames));
+        let known = poses.map(|given| as_poses(&given, frames.len()));
+        let solved = py.detach(|| solve_take(&self.inner, step_s, &frames, known));
         let n = self.inner.joints.len();
         let mut place = Array2::from_elem((solved.len(), n), f64::NAN);
         let mut turn = Array3::from_elem((solved.len(), n, 3), f64::NAN);
@@ -176,7 +190,7 @@ impl PyFigure {
         &self,
         py: Python<'py>,
         xyz_m: PyReadonlyArray3<'py, f64>,
-        poses: Option<(PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray3<'py, f64>)>,
+        poses: Option<GivenPoses<'py>>,
         offset_sd_m: Vec<[f64; 3]>,
         place_sd_m: Vec<f64>,
         mirrored: Vec<(usize, usize, f64)>,
@@ -189,19 +203,7 @@ impl PyFigure {
         }
         let known =
             Known { offset_sd_m: offset_sd_m.into_iter().map(Into::into).collect(), place_sd_m, mirrored };
-        let starts: Vec<Pose> = match &poses {
-            Some((root, root_turn, turns)) => {
-                let (root, root_turn, turns) = (root.as_array(), root_turn.as_array(), turns.as_array());
-                (0..frames.len())
-                    .map(|f| Pose {
-                        root_m: vector(root.row(f)),
-                        root: Rotation3::new(vector(root_turn.row(f))),
-                        turns: turns.index_axis(numpy::ndarray::Axis(0), f).outer_iter().map(vector).collect(),
-                    })
-                    .collect()
-            }
-            None => Vec::new(),
-        };
+        let starts = poses.map_or_else(Vec::new, |given| as_poses(&given, frames.len()));
         let fitted = py.detach(|| {
             let starts = if starts.is_empty() { alone(&self.inner, &frames) } else { starts };
             engine_fit(&self.inner, &frames, starts, &known)
@@ -220,15 +222,11 @@ impl PyFigure {
         root_turn: PyReadonlyArray2<'py, f64>,
         turns: PyReadonlyArray3<'py, f64>,
     ) -> Bound<'py, PyArray2<f64>> {
-        let (root, root_turn, turns) = (root_m.as_array(), root_turn.as_array(), turns.as_array());
-        let mut out = Array2::from_elem((root.nrows(), self.inner.markers.len()), f64::NAN);
-        for (f, frame) in xyz_m.as_array().outer_iter().enumerate() {
-            let pose = Pose {
-                root_m: vector(root.row(f)),
-                root: Rotation3::new(vector(root_turn.row(f))),
-                turns: turns.index_axis(numpy::ndarray::Axis(0), f).outer_iter().map(vector).collect(),
-            };
-            for (m, off) in residuals(&self.inner, &pose, &markers(frame)).into_iter().enumerate() {
+        let frames = xyz_m.as_array();
+        let poses = as_poses(&(root_m, root_turn, turns), frames.len_of(numpy::ndarray::Axis(0)));
+        let mut out = Array2::from_elem((poses.len(), self.inner.markers.len()), f64::NAN);
+        for (f, (frame, pose)) in frames.outer_iter().zip(&poses).enumerate() {
+            for (m, off) in residuals(&self.inner, pose, &markers(frame)).into_iter().enumerate() {
                 out[(f, m)] = off.unwrap_or(f64::NAN);
             }
         }

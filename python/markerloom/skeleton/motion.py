@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -156,6 +157,11 @@ def angles(order: str, rotations: Array) -> Array:
     """Turns about X, Y and Z (frames, 3; rad) of rotations, in an order; or rotation vectors."""
     if not order:
         return Rotation.from_matrix(rotations).as_rotvec()
-    with np.errstate(all="ignore"):
-        found = Rotation.from_matrix(rotations).as_euler(order)
-    return found[:, [order.index(a) for a in "XYZ"]]
+    return euler(order, rotations)[:, [order.index(a) for a in "XYZ"]]
+
+
+def euler(order: str, rotations: Array) -> Array:
+    """Angles (frames, 3; rad) about moved axes in an order; where two axes coincide, the third angle is 0."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Rotation.from_matrix(rotations).as_euler(order)

@@ -88,16 +88,21 @@ def place_markers(names: list[str], skeleton: Skeleton, known: Hints | MarkerSet
 
     Raises ``InputError`` where the names tell nothing, and where hints name markers that are not in the take.
     """
+    others: list[MarkerSet] = []
     if known is None:
-        known = _worn_set(names, source)
+        known, *others = _worn_sets(names, source)
     if isinstance(known, Hints):
         absent = [m for m in known.segments if m not in names]
         if absent:
             raise InputError(f"{known.source}: there is no marker '{absent[0]}' in {source}")
         segments, places, said = known.segments, {}, known.source
     else:
-        segments = {m: s for m, s in zip(known.markers, known.segments, strict=True) if s}
-        places = {m: np.array([p[1], -p[0], p[2]]) for m, p in zip(known.markers, known.places, strict=True)}
+        segments, places = {}, {}
+        for made in [known, *others]:
+            for marker, segment, p in zip(made.markers, made.segments, made.places, strict=True):
+                if segment:
+                    segments.setdefault(marker, segment)
+                    places.setdefault(marker, np.array([p[1], -p[0], p[2]]))
         said = f"marker set '{known.name}'"
     markers, joints, place, unplaced = [], [], [], []
     for name in names:
@@ -119,18 +124,19 @@ def place_markers(names: list[str], skeleton: Skeleton, known: Hints | MarkerSet
     return Placed(markers, joints, np.array(place), unplaced, said)
 
 
-def _worn_set(names: list[str], source: str) -> MarkerSet:
+def _worn_sets(names: list[str], source: str) -> list[MarkerSet]:
+    """The known marker set that the take's names are of, and the others: laboratories add markers from one another."""
+
     def share(made: MarkerSet) -> float:
         return sum(m in names for m in made.markers) / len(made)
 
-    sets = [read_marker_set(name) for name in marker_sets()]
-    best = max(sets, key=lambda made: (share(made), len(made)))
-    if share(best) < KNOWN_SET:
+    sets = sorted((read_marker_set(name) for name in marker_sets()), key=lambda made: (-share(made), -len(made)))
+    if share(sets[0]) < KNOWN_SET:
         raise InputError(
             f"the names of the markers ({', '.join(names[:4])}, …) are of no known marker set: give --marker-set, or "
             f"--hints with a TOML that says which markers are on which segment ({source})"
         )
-    return best
+    return sets
 
 
 def segment_joint(skeleton: Skeleton, segment: str, place: Array) -> int:

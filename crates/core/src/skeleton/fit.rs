@@ -241,8 +241,8 @@ fn reduced(
             }
         }
         let relative = x - pose.root_m;
-        let mut column = Some(last[marker.joint]);
-        while let Some(c) = column {
+        let lowest = last[marker.joint];
+        for &c in std::iter::once(&lowest).chain(solver.normal.way(lowest)) {
             let moves = velocity(&twists[c], &relative);
             for (a, turn) in &own {
                 let part = moves.transpose() * turn * weight;
@@ -250,7 +250,6 @@ fn reduced(
                     mixed[(c, a + k)] += part[k];
                 }
             }
-            column = solver.normal.above(c);
         }
     }
     let factor = solver.normal.factor(0.0)?;

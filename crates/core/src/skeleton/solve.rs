@@ -5,7 +5,7 @@
 //! subtree's markers say of it is one 6 × 6 matrix.
 
 use super::kinematics::{Segment, cross, segments};
-use super::normal::Normal;
+use super::normal::{Inverse, Normal};
 use super::{Figure, Joint, Pose};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use std::f64::consts::PI;
@@ -17,6 +17,8 @@ const LIMIT_SD: f64 = 0.0175;
 const ITERATIONS: usize = 30;
 /// A step of less than this everywhere ends the search (rad, m).
 const STILL: f64 = 1e-6;
+/// A step that lowers the cost by less than this part ends it, too.
+const ENOUGH: f64 = 1e-6;
 /// Largest change of a component in one step (rad).
 const STEP: f64 = 0.6;
 /// Median of the squared length of a vector of three standard normal components.
@@ -167,7 +169,7 @@ impl Solver {
                 pose = next;
                 cost = next_cost;
                 damping = if damping > 1e-9 { damping * 0.1 } else { 0.0 };
-                if largest < STILL || (scale <= 1.0 && gained < 1e-7 * (1.0 + cost)) {
+                if largest < STILL || (scale <= 1.0 && gained < ENOUGH * (1.0 + cost)) {
                     break;
                 }
             } else {
@@ -191,16 +193,10 @@ impl Solver {
     ) -> f64 {
         let all = segments(&figure.joints, pose);
         let (inertia, wrench, mut cost) = moments(figure, &all, evidence, scale);
-        self.normal.clear();
         let twists = self.twists(&figure.joints, pose, &all);
         for (c, column) in self.columns.iter().enumerate() {
             let force = inertia[column.joint] * twists[c];
-            self.normal.add(c, c, force.dot(&twists[c]));
-            let mut at = self.normal.above(c);
-            while let Some(a) = at {
-                self.normal.add(c, a, force.dot(&twists[a]));
-                at = self.normal.above(a);
-            }
+            self.normal.set(c, force.dot(&twists[c]), |above| force.dot(&twists[above]));
             self.normal.g[c] = wrench[column.joint].dot(&twists[c]);
         }
         cost += self.expect(&figure.joints, pose, prior);
@@ -237,7 +233,7 @@ impl Solver {
         for (c, column) in self.columns.iter().enumerate() {
             for (off, sd) in expectations(joints, pose, prior, *column).into_iter().flatten() {
                 let weight = 1.0 / (sd * sd);
-                self.normal.add(c, c, weight);
+                self.normal.add(c, weight);
                 self.normal.g[c] += weight * off;
                 cost += 0.5 * weight * off * off;
             }
@@ -303,24 +299,28 @@ impl Solver {
         pose: &Pose,
         evidence: Evidence<'_>,
         prior: Option<&Prior>,
+        of_joints: bool,
     ) -> Option<Certainty> {
         self.assemble(figure, pose, evidence, prior, 1.0);
         let all = segments(&figure.joints, pose);
-        let twists = self.twists(&figure.joints, pose, &all);
         let factor = self.normal.factor(0.0)?;
         let inverse = factor.inverse();
-        let n = self.len();
         let mut turn = vec![Vector3::repeat(f64::INFINITY); figure.joints.len()];
         let (mut root_m, mut root_rad) = (Vector3::zeros(), Vector3::zeros());
         for (c, column) in self.columns.iter().enumerate() {
-            let variance = inverse[c * n + c];
+            let variance = inverse.diagonal(c);
             match (column.joint, column.component) {
                 (0, k) if k < 3 => root_m[k] = variance,
                 (0, k) => root_rad[k - 3] = variance,
                 (j, k) => turn[j][k] = variance,
             }
         }
-        let joint_m2 = self.joint_variances(figure, pose, &all, &twists, &inverse);
+        let joint_m2 = if of_joints {
+            let twists = self.twists(&figure.joints, pose, &all);
+            self.joint_variances(figure, pose, &all, &twists, &inverse)
+        } else {
+            Vec::new()
+        };
         Some(Certainty { turn_rad2: turn, root_m2: root_m, root_rad2: root_rad, joint_m2 })
     }
 
@@ -357,15 +357,15 @@ impl Solver {
 
     /// Variance, over all three axes together, of a point that moves with a column and those above it; `at` from the
     /// root.
-    fn variance(&self, last: usize, at: &Vector3<f64>, twists: &[Vector6<f64>], inverse: &[f64]) -> f64 {
-        let n = self.len();
-        let chain = || std::iter::successors(Some(last), |&c| self.normal.above(c));
-        let moves: Vec<(usize, Vector3<f64>)> = chain().map(|c| (c, velocity(&twists[c], at))).collect();
+    fn variance(&self, last: usize, at: &Vector3<f64>, twists: &[Vector6<f64>], inverse: &Inverse) -> f64 {
+        let above = self.normal.way(last);
+        let moves: Vec<Vector3<f64>> =
+            std::iter::once(&last).chain(above).map(|&c| velocity(&twists[c], at)).collect();
         let mut sum = 0.0;
-        for (p, (c, here)) in moves.iter().enumerate() {
-            let row = &inverse[c * n..(c + 1) * n];
-            sum += row[*c] * here.norm_squared();
-            sum += 2.0 * moves[p + 1..].iter().map(|(d, there)| row[*d] * here.dot(there)).sum::<f64>();
+        for (p, c) in std::iter::once(&last).chain(above).enumerate() {
+            sum += inverse.diagonal(*c) * moves[p].norm_squared();
+            let with = inverse.row(*c).iter().zip(&moves[p + 1..]);
+            sum += 2.0 * with.map(|(entry, there)| entry * moves[p].dot(there)).sum::<f64>();
         }
         sum
     }
@@ -377,7 +377,7 @@ impl Solver {
         pose: &Pose,
         all: &[Segment],
         twists: &[Vector6<f64>],
-        inverse: &[f64],
+        inverse: &Inverse,
     ) -> Vec<f64> {
         let last = self.last_columns(&figure.joints);
         let mut out: Vec<f64> = Vec::with_capacity(figure.joints.len());
@@ -404,7 +404,7 @@ pub struct Certainty {
     pub root_m2: Vector3<f64>,
     /// Variance of the root's turn (rad²).
     pub root_rad2: Vector3<f64>,
-    /// Variance of every joint's place, over all three axes together (m²).
+    /// Variance of every joint's place, over all three axes together (m²); empty where it was not asked for.
     pub joint_m2: Vec<f64>,
 }
 

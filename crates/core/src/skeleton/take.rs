@@ -18,6 +18,8 @@ const LEAST_TURN: f64 = 2.0;
 const LEAST_ROOT: f64 = 0.5;
 /// How fast the velocity of what is not seen dies away (1/s).
 const DECAY: f64 = 8.0;
+/// Turns that differ by less than this are the same motion (rad).
+const ALIKE_RAD: f64 = 0.3;
 /// A component is observed where its variance is below this part of that of rest.
 const OBSERVED: f64 = 0.2;
 /// A marker this far from its place (in its sigmas, and at least so much, m) does not follow the pose.
@@ -240,27 +242,58 @@ fn depth(figure: &Figure, joint: usize) -> f64 {
     1.0 / (moving * moving) as f64
 }
 
-/// A whole take. Frames before anything was seen get the first pose that was found.
-pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen]) -> Vec<Frame> {
+/// A whole take. Frames before anything was seen get the first pose that was found. `known`: poses to start from, such as
+/// those of the same take before feet were held.
+pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen], known: Option<Vec<Pose>>) -> Vec<Frame> {
     let also = frames.iter().flat_map(|f| f.pins.iter().map(|p| p.joint).chain(f.orientations.iter().map(|o| o.joint)));
     let mut also: Vec<usize> = also.collect();
     also.sort_unstable();
     also.dedup();
-    let mut follower = Follower::new(figure.clone(), step_s, also.iter().copied());
-    let mut poses: Vec<Option<Pose>> = frames.iter().map(|f| follower.push(f).map(|s| s.pose)).collect();
-    let first = poses.iter().flatten().next().cloned().unwrap_or_else(|| figure.rest());
-    let poses: Vec<Pose> = poses.drain(..).map(|p| p.unwrap_or_else(|| first.clone())).collect();
-    let mut solver = Solver::of(figure, also);
+    let mut solver = Solver::of(figure, also.iter().copied());
+    let poses = match known {
+        None => followed(figure, step_s, frames, &also),
+        Some(poses) => {
+            let near = |(seen, pose): (&Seen, Pose)| {
+                let prior = around(figure, step_s, &pose);
+                solver.solve(figure, pose, seen.evidence(), Some(&prior)).pose
+            };
+            frames.iter().zip(poses).map(near).collect()
+        }
+    };
     let certain: Vec<Option<Certainty>> =
-        frames.iter().zip(&poses).map(|(f, p)| solver.certainty(figure, p, f.evidence(), None)).collect();
+        frames.iter().zip(&poses).map(|(f, p)| solver.certainty(figure, p, f.evidence(), None, false)).collect();
     let priors = neighbours(figure, step_s, &poses, &certain);
     let mut out = Vec::with_capacity(frames.len());
-    for (seen, prior) in frames.iter().zip(&priors) {
-        let solved = solver.solve(figure, prior.pose.clone(), seen.evidence(), Some(prior));
-        let certainty = solver.certainty(figure, &solved.pose, seen.evidence(), Some(prior));
+    for ((seen, prior), pose) in frames.iter().zip(&priors).zip(&poses) {
+        let start = if told_alike(figure, pose, prior) { pose } else { &prior.pose };
+        let solved = solver.solve(figure, start.clone(), seen.evidence(), Some(prior));
+        let certainty = solver.certainty(figure, &solved.pose, seen.evidence(), Some(prior), true);
         out.push(Frame { pose: solved.pose, certainty });
     }
     out
+}
+
+fn followed(figure: &Figure, step_s: f64, frames: &[Seen], also: &[usize]) -> Vec<Pose> {
+    let mut follower = Follower::new(figure.clone(), step_s, also.iter().copied());
+    let found: Vec<Option<Pose>> = frames.iter().map(|f| follower.push(f).map(|s| s.pose)).collect();
+    let first = found.iter().flatten().next().cloned().unwrap_or_else(|| figure.rest());
+    found.into_iter().map(|p| p.unwrap_or_else(|| first.clone())).collect()
+}
+
+/// Whether a frame's own pose is where its neighbours have it, so that it is the better place to start from.
+fn told_alike(figure: &Figure, pose: &Pose, prior: &Prior) -> bool {
+    (1..figure.joints.len()).all(|j| (pose.turns[j] - prior.pose.turns[j]).amax() < ALIKE_RAD)
+}
+
+/// A pose that is known to be nearly right.
+fn around(figure: &Figure, step_s: f64, pose: &Pose) -> Prior {
+    let turn = TURN_ACCELERATION * step_s * step_s;
+    Prior {
+        pose: pose.clone(),
+        turn_sd_rad: vec![Vector3::repeat(turn); figure.joints.len()],
+        root_sd_m: Vector3::repeat(ROOT_ACCELERATION * step_s * step_s),
+        root_sd_rad: turn,
+    }
 }
 
 /// For every frame, what the others say of it.
