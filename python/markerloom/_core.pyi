@@ -129,6 +129,14 @@ def body_labels(motion: str, markers: int, seed: int) -> list[str]: ...
 def body_pose(
     motion: str, markers: int, seed: int, center_m: tuple[float, float, float], time_s: float
 ) -> tuple[list[list[float]], list[tuple[list[float], list[float], float]]]: ...
+def wearing_joints(
+    motion: str,
+    set: Sequence[tuple[str, str, Sequence[float]]],
+    seed: int,
+    center_m: Sequence[float],
+    t_pose_s: float,
+    time_s: float,
+) -> list[tuple[str, list[float]]]: ...
 def wearing_pose(
     motion: str,
     set: Sequence[tuple[str, str, Sequence[float]]],
@@ -165,6 +173,49 @@ class LabelModel:
 class Labeller:
     def __init__(self, model: LabelModel) -> None: ...
     def push(self, time_s: float, tracks: Sequence[int], xyz_m: Floats) -> tuple[list[int], list[float]]: ...
+
+Poses = tuple[Floats, Floats, Floats]
+
+class Figure:
+    def __init__(
+        self,
+        parents: Sequence[int | None],
+        offsets_m: Sequence[Sequence[float]],
+        orders: Sequence[Sequence[int] | None],
+        free: Sequence[Sequence[bool]],
+        limits_rad: Sequence[Sequence[Sequence[float]]],
+        rest_sd_rad: Sequence[Sequence[float]],
+        marker_joint: Sequence[int],
+        marker_place_m: Sequence[Sequence[float]],
+        marker_sigma_m: Sequence[float],
+    ) -> None: ...
+    def offsets_m(self) -> Floats: ...
+    def places_m(self) -> Floats: ...
+    def sigmas_m(self) -> list[float]: ...
+    def pose(self, xyz_m: Floats) -> Poses: ...
+    def solve(
+        self,
+        xyz_m: Floats,
+        step_s: float,
+        pins: Sequence[tuple[int, int, Sequence[float], Sequence[float], float]],
+        orientations: Sequence[tuple[int, int, Sequence[float], float]],
+        poses: Poses | None,
+    ) -> tuple[Poses, tuple[Floats, Floats]]: ...
+    def fit(
+        self,
+        xyz_m: Floats,
+        poses: Poses | None,
+        offset_sd_m: Sequence[Sequence[float]],
+        place_sd_m: Sequence[float],
+        mirrored: Sequence[tuple[int, int, float]],
+        pins: Sequence[tuple[int, int, Sequence[float], Sequence[float], float]],
+        orientations: Sequence[tuple[int, int, Sequence[float], float]],
+    ) -> tuple[Figure, Poses, float]: ...
+    def residuals_m(self, xyz_m: Floats, root_m: Floats, root_turn: Floats, turns: Floats) -> Floats: ...
+
+class Follower:
+    def __init__(self, figure: Figure, step_s: float) -> None: ...
+    def push(self, xyz_m: Floats) -> Poses | None: ...
 
 def observe(
     rig: Rig,

@@ -46,6 +46,8 @@ from markerloom.rig import Rig
 from markerloom.rigid_cli import rigid_app
 from markerloom.simulate import PRESETS, make_rig, make_scene, save
 from markerloom.simulate import simulate as run_simulate
+from markerloom.skeleton.cli import solve
+from markerloom.skeleton.files import PRESETS as STYLES
 from markerloom.sync.cli import sync
 from markerloom.track import track as run_track
 from markerloom.track_page import save_track_page
@@ -55,7 +57,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
 app.add_typer(subject_app, name="subject")
 app.add_typer(rigid_app, name="rigid")
-for verb in (sync, label, fill, smooth, process):
+for verb in (sync, label, fill, smooth, solve, process):
     app.command()(verb)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -495,17 +497,25 @@ def convert(
     target: Annotated[Path, typer.Argument(help="File to write.")],
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="State or replace the frame rate.")] = None,
     up: Annotated[str | None, typer.Option(help="Up axis of the target: y or z.")] = None,
+    units: Annotated[str | None, typer.Option(help="Of a motion's lengths: mm, cm, m, in, or metres per unit.")] = None,
+    preset: Annotated[str | None, typer.Option(help=f"Of motions: {', '.join(STYLES)}")] = None,
+    order: Annotated[str | None, typer.Option(help="Of a BVH's angles, such as ZXY.")] = None,
+    rest: Annotated[str | None, typer.Option(help="Rest pose of a motion: t-pose, a-pose or i-pose.")] = None,
+    source_units: Annotated[str | None, typer.Option("--source-units", help="Of a motion that is read.")] = None,
+    source_up: Annotated[str, typer.Option("--source-up", help="Up axis of a motion that is read.")] = "y",
     calibration_units: Units = "m",
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
-    """Convert points, observations or a calibration. C3D to C3D keeps everything.
+    """Convert points, motions, observations or a calibration. C3D to C3D keeps everything.
 
     Example: markerloom convert take.c3d take.trc
     """
-    run_convert(source, target, rate_hz=rate_hz, up=up, calibration_units=calibration_units)
+    options = {"rate_hz": rate_hz, "up": up, "units": units, "preset": preset, "order": order, "rest": rest}
+    options |= {"source_units": source_units, "source_up": source_up}
+    run_convert(source, target, **options, calibration_units=calibration_units)  # pyright: ignore[reportArgumentType]
     say(quiet, f"{source} → {target}")
-    finish(report, [source], {"target": str(target), "rate_hz": rate_hz, "up": up}, {})
+    finish(report, [source], {"target": str(target), **options}, {})
 
 
 @app.command()

@@ -11,6 +11,8 @@ from markerloom import formats
 from markerloom.errors import InputError
 from markerloom.formats import c3d_file
 from markerloom.points import Points
+from markerloom.skeleton import read_motion, read_segment_poses, solve_segments, write_motion
+from markerloom.skeleton.files import MOTIONS_READ
 
 
 def convert(
@@ -19,16 +21,36 @@ def convert(
     *,
     rate_hz: float | None = None,
     up: str | None = None,
+    units: str | None = None,
+    preset: str | None = None,
+    order: str | None = None,
+    rest: str | None = None,
+    source_units: str | None = None,
+    source_up: str = "y",
     calibration_units: str = "m",
 ) -> None:
-    """Convert points, observations or a calibration, by the endings of the two files.
+    """Convert points, motions, observations or a calibration, by the endings of the two files.
 
     ``up='y'`` turns points from Z up to Y up: (x, y, z) → (x, z, −y). ``rate_hz`` states or replaces the frame rate.
+    ``units``, ``preset``, ``order`` and ``rest`` are of motions (see `write_motion`), ``source_units`` and
+    ``source_up`` of motions that are read.
     """
     if up not in (None, "y", "z"):
         raise InputError(f"up '{up}': y or z")
     kind, wanted = formats.ending(source), formats.ending(target)
-    if kind in formats.CALIBRATIONS:
+    if kind in (*MOTIONS_READ, ".mvnx"):
+        write_motion(
+            solve_segments(read_segment_poses(source))
+            if kind == ".mvnx"
+            else read_motion(source, units=source_units, up=source_up, rate_hz=rate_hz),
+            target,
+            units=units,
+            up=up,
+            order=order,
+            rest=rest,
+            preset=preset,
+        )
+    elif kind in formats.CALIBRATIONS:
         formats.write_calibration(formats.read_calibration(source, units=calibration_units), target)
     elif kind == wanted == ".c3d" and rate_hz is None and up is None:
         c3d_file.write_file(c3d_file.read_file(source), target)

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from markerloom import formats
-from markerloom.errors import InputError
+from markerloom.errors import FormatError, InputError
 from markerloom.formats import c3d_file, motive_csv, observation_table, points_table, table_file
 from markerloom.formats.files import read_text
 from markerloom.observations import Observations
 from markerloom.points import KINDS, Points
 from markerloom.rig import Rig
+from markerloom.skeleton import read_motion, read_skeleton
+from markerloom.skeleton.files import MOTIONS_READ
 
 
 def inspect(path: str | Path, *, calibration_units: str = "m") -> dict[str, Any]:
@@ -23,6 +25,8 @@ def inspect(path: str | Path, *, calibration_units: str = "m") -> dict[str, Any]
     kind = formats.ending(path)
     if kind in formats.CALIBRATIONS:
         return _rig(formats.read_calibration(path, units=calibration_units))
+    if kind in (*MOTIONS_READ, ".asf"):
+        return _motion(path)
     if kind == ".x2d":
         return _observations(formats.read_observations(path))
     if kind == ".c3d":
@@ -31,8 +35,23 @@ def inspect(path: str | Path, *, calibration_units: str = "m") -> dict[str, Any]
         return _table(path)
     if kind in formats.POINTS_READ:
         return _points(formats.read_points(path))
-    readable = sorted({*formats.CALIBRATIONS, *formats.OBSERVATIONS, *formats.POINTS_READ})
+    readable = sorted({*MOTIONS_READ, ".asf", *formats.CALIBRATIONS, *formats.OBSERVATIONS, *formats.POINTS_READ})
     raise InputError(f"'{kind}' files are not read; these are: {', '.join(readable)} ({path})")
+
+
+def _motion(path: str | Path) -> dict[str, Any]:
+    """A motion, or a skeleton without one."""
+    try:
+        motion = None if formats.ending(path) == ".asf" else read_motion(path)
+    except FormatError:
+        # A BVH may be a skeleton alone; if that is broken, too, its own error says so.
+        read_skeleton(path)
+        motion = None
+    skeleton = read_skeleton(path) if motion is None else motion.skeleton
+    found: dict[str, Any] = {"content": "skeleton" if motion is None else "motion", "joints": list(skeleton.joints)}
+    if motion is not None:
+        found |= {"frames": len(motion), "rate_hz": motion.rate_hz, "bones_move": motion.shifts_m is not None}
+    return found
 
 
 def _table(path: str | Path) -> dict[str, Any]:

@@ -75,7 +75,7 @@ class Scene:
         return (0.0, 0.0, 1.0) if self.scene in (*FIGURES, "wand") else (0.0, 0.0, 0.0)
 
 
-FIGURES = ("walk", "dance", "duet")
+FIGURES = ("walk", "dance", "rom", "duet")
 DUET_DISTANCE_M = 0.7
 FIGURE: dict[str, object] = {
     "markers": 41,
@@ -96,6 +96,7 @@ PRESETS: dict[str, dict[str, object]] = {
     "cloud": {"cameras": 8, "sigma_px": 0.3, "hide": "quarter"},
     "walk": FIGURE,
     "dance": FIGURE,
+    "rom": FIGURE | {"frames": 4000},
     "duet": FIGURE | {"markers": 82, "cameras": 12},
     "wand": FIGURE
     | {"frames": 1000, "markers": 5, "sigma_px": 0.1, "hide": "0.02", "reflections": 1, "clutter_per_frame": 0.2}
@@ -256,6 +257,32 @@ def _markers(scene: Scene, frame: float) -> Pose:
     return markers, capsules
 
 
+def joints_of(scene: Scene) -> Points | None:
+    """Joint centres of a figure that wears a marker set, as points; ``None`` for other scenes."""
+    if not scene.marker_set or scene.scene not in FIGURES:
+        return None
+    frames, labels = [], []
+    for frame in range(scene.frames):
+        found = []
+        for person, (motion, _, seed, center) in zip("AB", _figures(scene), strict=False):
+            own = _core.wearing_joints(
+                motion, _worn(scene.marker_set), seed, center, scene.t_pose_s, frame / scene.rate_hz
+            )
+            found += [(f"{person}:{name}" if scene.scene == "duet" else name, place) for name, place in own]
+        labels = [name for name, _ in found]
+        frames.append([place for _, place in found])
+    frame_of, joint_of = np.divmod(np.arange(scene.frames * len(labels)), len(labels))
+    return Points.of(
+        frame_of,
+        joint_of,
+        1000.0 * np.array(frames).reshape(-1, 3),
+        label=np.array(labels, dtype=str)[joint_of],
+        rate_hz=scene.rate_hz,
+        frames=np.arange(scene.frames),
+        source=f"simulated {scene.scene}",
+    )
+
+
 @cache
 def _worn(marker_set: str) -> list[tuple[str, str, list[float]]]:
     """A marker set as the figure wears it: names, segments of the figure, places."""
@@ -290,7 +317,8 @@ def wave(scene: Scene, frame: float) -> list[list[float]]:
 
 
 def save(take: SimulatedTake, folder: str | Path) -> None:
-    """Write calibration.toml, observations.parquet, truth.parquet, truth_assignments.parquet and scene.toml.
+    """Write calibration.toml, observations.parquet, truth.parquet, truth_assignments.parquet and scene.toml; of figures
+    that wear a marker set also truth_joints.parquet, the joint centres.
 
     With two clocks also recording_1.parquet and recording_2.parquet: what the recorders would have written.
     """
@@ -304,7 +332,15 @@ def save(take: SimulatedTake, folder: str | Path) -> None:
     if take.scene.has_two_clocks:
         for number, recording in enumerate(take.recordings(), start=1):
             write_observations(recording, folder / f"recording_{number}.parquet")
-    truth = take.truth
+    _save_truth(take.truth, folder / "truth.parquet")
+    joints = joints_of(take.scene)
+    if joints is not None:
+        _save_truth(joints, folder / "truth_joints.parquet")
+    table_file.write(take.truth_assignments, folder / "truth_assignments.parquet")
+    write_text(folder / "scene.toml", tomlkit.dumps(asdict(take.scene)))
+
+
+def _save_truth(truth: Points, path: Path) -> None:
     table = pa.table(
         {
             "frame": truth.frame,
@@ -312,7 +348,5 @@ def save(take: SimulatedTake, folder: str | Path) -> None:
             **{f"{axis}_mm": truth.xyz_mm[:, i] for i, axis in enumerate("xyz")},
         }
     )
-    metadata = {"rate_hz": repr(take.scene.rate_hz), "units": "mm", "up_axis": "z"}
-    table_file.write(table.replace_schema_metadata(metadata), folder / "truth.parquet")
-    table_file.write(take.truth_assignments, folder / "truth_assignments.parquet")
-    write_text(folder / "scene.toml", tomlkit.dumps(asdict(take.scene)))
+    metadata = {"rate_hz": repr(truth.rate_hz), "units": "mm", "up_axis": "z"}
+    table_file.write(table.replace_schema_metadata(metadata), path)

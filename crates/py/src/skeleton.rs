@@ -62,18 +62,10 @@ fn as_poses(given: &GivenPoses<'_>, frames: usize) -> Vec<Pose> {
 }
 
 impl PyFigure {
-    fn seen(
-        &self,
-        xyz_m: &PyReadonlyArray3<'_, f64>,
-        pins: Pins,
-        orientations: Orientations,
-    ) -> PyResult<Vec<Seen>> {
+    fn seen(&self, xyz_m: &PyReadonlyArray3<'_, f64>, pins: Pins, orientations: Orientations) -> PyResult<Vec<Seen>> {
         let n = self.inner.joints.len();
-        let mut frames: Vec<Seen> = xyz_m
-            .as_array()
-            .outer_iter()
-            .map(|frame| Seen { markers_m: markers(frame), ..Seen::default() })
-            .collect();
+        let mut frames: Vec<Seen> =
+            xyz_m.as_array().outer_iter().map(|frame| Seen { markers_m: markers(frame), ..Seen::default() }).collect();
         let bad = || RigError::new_err("a pin or orientation names a frame or joint that is not there");
         for (frame, joint, place, target, sigma_m) in pins {
             let seen = frames.get_mut(frame).filter(|_| joint < n).ok_or_else(bad)?;
@@ -201,8 +193,7 @@ impl PyFigure {
         if offset_sd_m.len() != self.inner.joints.len() || place_sd_m.len() != self.inner.markers.len() {
             return Err(RigError::new_err("what is known must be said of every joint and marker"));
         }
-        let known =
-            Known { offset_sd_m: offset_sd_m.into_iter().map(Into::into).collect(), place_sd_m, mirrored };
+        let known = Known { offset_sd_m: offset_sd_m.into_iter().map(Into::into).collect(), place_sd_m, mirrored };
         let starts = poses.map_or_else(Vec::new, |given| as_poses(&given, frames.len()));
         let fitted = py.detach(|| {
             let starts = if starts.is_empty() { alone(&self.inner, &frames) } else { starts };

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,13 +13,14 @@ from markerloom.formats.files import read_text
 def parse(path: str | Path, root: str, program: str) -> ElementTree.Element:
     """The root element; refuses documents of another kind and documents that define entities."""
     text = read_text(path)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+    outside = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    if "<!DOCTYPE" in outside or "<!ENTITY" in outside:
         raise FormatError(path, f"a document type definition has no place in a {program} file")
     try:
         found = ElementTree.fromstring(text.encode("utf-8") if "encoding=" not in text[:80] else _plain(text))
     except ElementTree.ParseError as error:
         raise FormatError(path, f"not a {program} file: {error}") from None
-    if found.tag != root:
+    if found.tag.rpartition("}")[2] != root:
         raise FormatError(path, f"not a {program} file: its root is <{found.tag}>, not <{root}>")
     return found
 

@@ -53,6 +53,10 @@ def _glance(take: Trajectories, reports: dict[str, dict[str, Any]]) -> str:
     if "completeness" in named:
         rows.append(["named", f"{100 * named['completeness']:.2f} % of the marker-frames"])
         rows.append(["points without a name", f"{named['unlabelled_per_frame']:.2f} per frame"])
+    solved = reports.get("solve", {})
+    if solved:
+        off = solved["residual_mm"]
+        rows.append(["markers from the skeleton", f"{off['rms']:.2f} mm rms (see skeleton.html)"])
     fills = reports.get("fill", {})
     if fills:
         rows.append(["gaps", f"{fills['gaps']}, {len(fills['filled'])} of them filled"])

@@ -1,4 +1,4 @@
-"""The whole chain over a project's takes: dots → trajectories → names → fills → files, and a page for each take."""
+"""The whole chain over a project's takes: dots → trajectories → names → fills → skeleton → files, a page for each."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from markerloom.points import Points
 from markerloom.project.page import save_quality, save_take_page
 from markerloom.project.settings import Project, TakeSettings, read_project
 from markerloom.project.stages import Stages, key_of
+from markerloom.skeleton import read_hints, read_wearer, solve, write_motion
+from markerloom.skeleton.page import save_motion_page
+from markerloom.skeleton.wearer import has_markers
 from markerloom.smoothing import smooth
 from markerloom.subjects import read_marker_set, read_subject
 from markerloom.track import track
 
 RESULTS = "results"
-VERSIONS = {"track": 1, "label": 1, "fill": 1, "smooth": 1}
+VERSIONS = {"track": 1, "label": 1, "fill": 1, "smooth": 1, "solve": 1}
 """Raised when a stage gives other results for the same input: what was computed before is then computed again."""
 Say = Callable[[str], None]
 
@@ -70,7 +73,8 @@ def _chosen(project: Project, takes: list[str] | None) -> list[TakeSettings]:
 def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
     """One take through all stages."""
     stages = Stages(project.folder / RESULTS / settings.name)
-    missing = [p for p in (settings.file, settings.calibration, *settings.subjects) if p and not Path(p).is_file()]
+    given = (settings.file, settings.calibration, settings.hints, settings.fit_from, *settings.subjects)
+    missing = [p for p in given if p and not Path(p).is_file()]
     if missing:
         raise InputError(f"there is no file {missing[0]} (take '{settings.name}')")
     key, reports = "", {}
@@ -84,6 +88,9 @@ def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
         if stages.ran or not target.is_file():
             formats.write_points(points, target)
         exported.append(target.name)
+    if settings.skeleton:
+        reports["solve"] = _solve(stages, settings, points, key)
+        exported += [f"{settings.name}{kind}" for kind in settings.solve_to]
     _snapshot(stages.folder, settings)
     save_take_page(stages.folder / "report.html", settings, points, reports)
     fills = reports.get("fill", {})
@@ -97,10 +104,38 @@ def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
         "gaps": fills.get("gaps", 0),
         "filled": len(fills.get("filled", [])),
         "complete": fills.get("complete_after", 1.0),
+        "skeleton_mm": reports.get("solve", {}).get("residual_mm", {}).get("rms"),
         "residual_px": reports["track"].get("residual_px", {}).get("median"),
         "warnings": warnings,
         "exported": exported,
     }
+
+
+def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str) -> dict[str, Any]:
+    """A skeleton under the take's markers: its files, and a page of its own."""
+    names = (settings.skeleton, settings.hints, settings.fit_from)
+    made_of = [key_of(Path(n)) if n and Path(n).is_file() else n for n in names]
+    page = stages.folder / "skeleton.html"
+    targets = [stages.folder / f"{settings.name}{kind}" for kind in settings.solve_to]
+
+    def run() -> dict[str, Any]:
+        worn = settings.marker_set or next((read_subject(s).marker_set for s in settings.subjects), "")
+        known = read_hints(settings.hints) if settings.hints else read_marker_set(worn) if worn else None
+        body = settings.skeleton
+        solved = solve(
+            points,
+            read_wearer(body) if has_markers(body) else body,
+            known=known,
+            fit_from=formats.read_points(settings.fit_from) if settings.fit_from else None,
+        )
+        glued = list(zip(solved.wearer.markers, solved.wearer.joints, solved.wearer.places_m, strict=True))
+        for target in targets:
+            write_motion(solved.motion, target, markers=glued)
+        save_motion_page(solved, page)
+        return solved.report
+
+    key = key_of(key, made_of, settings.marker_set, list(settings.solve_to), VERSIONS["solve"])
+    return stages.files("solve", key, [*targets, page], run)
 
 
 def _tracked(stages: Stages, settings: TakeSettings) -> tuple[Points, str, dict[str, Any]]:
@@ -191,10 +226,14 @@ def _snapshot(folder: Path, settings: TakeSettings) -> None:
     """What the result was made with: settings, and copies of calibration and subjects."""
     kept = folder / "made-with"
     kept.mkdir(exist_ok=True)
-    plain = {k: Path(v).name if k in ("file", "calibration") else v for k, v in asdict(settings).items()}
+    plain = {
+        k: Path(v).name if k in ("file", "calibration", "hints", "fit_from") else v for k, v in asdict(settings).items()
+    }
     plain["subjects"] = [Path(s).name for s in settings.subjects]
-    plain["export"] = list(settings.export)
+    plain["export"], plain["solve_to"] = list(settings.export), list(settings.solve_to)
+    plain["skeleton"] = Path(settings.skeleton).name if Path(settings.skeleton).is_file() else settings.skeleton
     write_text(kept / "settings.toml", tomlkit.dumps(plain))
-    for source in (settings.calibration, *settings.subjects):
+    own = settings.skeleton if Path(settings.skeleton).is_file() else ""
+    for source in (settings.calibration, own, settings.hints, *settings.subjects):
         if source:
             shutil.copyfile(source, kept / Path(source).name)

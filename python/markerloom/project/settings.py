@@ -9,6 +9,7 @@ rate_hz = 100.0
 longest_s = 2.0
 smooth = "none"
 export = [".c3d"]
+skeleton = "hanim-loa1"             # solve a skeleton, too; solve_to = [".bvh"]; hints and fit_from as for `solve`
 
 [takes.walk-1]                      # without any, every file in the folder takes/
 file = "takes/walk-1.parquet"
@@ -25,6 +26,7 @@ from typing import Any
 from markerloom.errors import FormatError, InputError
 from markerloom.formats import OBSERVATIONS, POINTS_READ, POINTS_WRITTEN, ending
 from markerloom.formats.files import read_text
+from markerloom.skeleton.files import MOTIONS_WRITTEN
 
 FILE = "markerloom.toml"
 
@@ -46,6 +48,10 @@ class TakeSettings:
     smooth: str = "none"
     cutoff_hz: float = 6.0
     export: tuple[str, ...] = (".c3d",)
+    skeleton: str = ""
+    hints: str = ""
+    fit_from: str = ""
+    solve_to: tuple[str, ...] = (".bvh",)
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,9 @@ def _merged(settings: TakeSettings, given: dict[str, Any], path: Path, where: st
     for kind in made.export:
         if kind not in POINTS_WRITTEN:
             raise FormatError(path, f"export '{kind}': {', '.join(POINTS_WRITTEN)}", where=where)
+    for kind in made.solve_to:
+        if kind not in MOTIONS_WRITTEN:
+            raise FormatError(path, f"solve_to '{kind}': {', '.join(MOTIONS_WRITTEN)}", where=where)
     return made
 
 
@@ -122,6 +131,7 @@ def _placed(settings: TakeSettings, folder: Path) -> TakeSettings:
     def at(path: str) -> str:
         return str((folder / path).resolve()) if path else ""
 
+    own = settings.skeleton and (folder / settings.skeleton).exists()
     named = settings.marker_set and (folder / settings.marker_set).exists()
     return replace(
         settings,
@@ -129,4 +139,7 @@ def _placed(settings: TakeSettings, folder: Path) -> TakeSettings:
         calibration=at(settings.calibration),
         subjects=tuple(at(s) for s in settings.subjects),
         marker_set=at(settings.marker_set) if named else settings.marker_set,
+        skeleton=at(settings.skeleton) if own else settings.skeleton,
+        hints=at(settings.hints),
+        fit_from=at(settings.fit_from),
     )

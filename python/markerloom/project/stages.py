@@ -40,13 +40,9 @@ class Stages:
     ) -> tuple[Points, dict[str, Any]]:
         """The points of a stage and its report: from disk where the key is the same, or made anew."""
         file, note = self.folder / f"{stage}.parquet", self.folder / f"{stage}.json"
-        if file.is_file() and note.is_file():
-            try:
-                known = json.loads(note.read_text("utf-8"))
-                if known.get("key") == key:
-                    return read_points(file), known["report"]
-            except (json.JSONDecodeError, KeyError, UnicodeDecodeError):
-                pass
+        known = self._known(note, key)
+        if file.is_file() and known is not None:
+            return read_points(file), known
         points, report = make()
         note.unlink(missing_ok=True)
         write_points(points, file)
@@ -54,3 +50,24 @@ class Stages:
         write_text(note, json.dumps({"key": key, "report": plain}, indent=1) + "\n")
         self.ran.append(stage)
         return points, plain
+
+    def files(self, stage: str, key: str, targets: list[Path], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The report of a stage that writes files of its own: from disk where the key is the same and all are there."""
+        note = self.folder / f"{stage}.json"
+        known = self._known(note, key)
+        if known is not None and all(t.is_file() for t in targets):
+            return known
+        note.unlink(missing_ok=True)
+        report = json.loads(json.dumps(make(), default=float))
+        write_text(note, json.dumps({"key": key, "report": report}, indent=1) + "\n")
+        self.ran.append(stage)
+        return report
+
+    @staticmethod
+    def _known(note: Path, key: str) -> dict[str, Any] | None:
+        """The report beside a result, where it was made under this key."""
+        try:
+            known = json.loads(note.read_text("utf-8")) if note.is_file() else {}
+            return known["report"] if known.get("key") == key else None
+        except (json.JSONDecodeError, KeyError, UnicodeDecodeError):
+            return None

@@ -158,7 +158,9 @@ def _bones(lines: list[tuple[int, str]], path: str | Path, degrees: bool) -> lis
             bone.dof = [w.lower() for w in words[1:]]
             unknown = [d for d in bone.dof if d not in ("rx", "ry", "rz")]
             if unknown:
-                raise FormatError(path, f"bone '{bone.name}' moves by '{unknown[0]}': only rx ry rz are read", where=where)
+                raise FormatError(
+                    path, f"bone '{bone.name}' moves by '{unknown[0]}': only rx ry rz are read", where=where
+                )
         elif key == "limits" or (in_limits and key.startswith("(")):
             in_limits = True
             text = line.replace("limits", " ").replace("(", " ").replace(")", " ").replace(",", " ")
@@ -233,7 +235,7 @@ def _limits(bone: Bone, degrees: bool) -> list[list[float]]:
 
 
 def _order(dof: list[str]) -> str:
-    """The order that a BVH of the same motion would have: the last degree of freedom is applied last, so stands first."""
+    """The order that a BVH of the same motion would have: the last degree of freedom stands first."""
     found = "".join(d[1].upper() for d in reversed(dof) if d.startswith("r"))
     return found if len(found) == 3 else "ZYX"
 

@@ -1,7 +1,7 @@
 """BVH (Biovision): hierarchy of offsets and channels, and one line of numbers per frame.
 
-Rotations are about moved axes in the order of the channels: of "Zrotation Xrotation Yrotation" R = Rz·Rx·Ry. Channels of
-place replace the joint's OFFSET, as Blender and MotionBuilder take them. Lengths have no unit of their own.
+Rotations are about moved axes in the order of the channels: of "Zrotation Xrotation Yrotation" R = Rz·Rx·Ry. Channels
+of place replace the joint's OFFSET, as Blender and MotionBuilder take them. Lengths have no unit of their own.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def _skeleton(tree: _Tree, path: str | Path, unit_m: float) -> Skeleton:
     for joint, offset in tree.sites:
         count[joint] = count.get(joint, 0) + 1
         name = f"{tree.names[joint]}_end" + (f"_{count[joint]}" if count[joint] > 1 else "")
-        sites.append(Site(name, joint, tuple(float(v) * unit_m for v in offset)))
+        sites.append(Site(name, joint, (offset[0] * unit_m, offset[1] * unit_m, offset[2] * unit_m)))
     orders = ["".join(c[0] for c in own if c in TURNS) for own in tree.channels]
     try:
         return Skeleton(

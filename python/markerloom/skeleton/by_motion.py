@@ -29,8 +29,8 @@ class Rigid:
 
 
 def rigid(seen_m: Array) -> Rigid:
-    """A segment from its markers (frames, markers ≥ 3, 3; NaN where absent): their mean shape, laid into every frame."""
-    there = np.isfinite(seen_m).all(axis=2)
+    """A segment from its markers (frames, markers ≥ 3, 3; NaN where absent): their mean shape in every frame."""
+    there = np.asarray(np.isfinite(seen_m).all(axis=2))
     shape = seen_m[int(np.argmax(there.sum(axis=1)))]
     shape = np.where(np.isfinite(shape), shape, 0.0) - np.nanmean(shape, axis=0)
     for _ in range(4):
@@ -59,7 +59,9 @@ def _laid(shape: Array, seen_m: Array, there: NDArray[np.bool_]) -> tuple[Array,
     return turn, at - np.einsum("fab,fb->fa", turn, here)
 
 
-def score(one: Rigid, two: Rigid, *, noise_m: float = 0.0, guess_m: Array | None = None, guess_sd_m: float = 1.0) -> Array:
+def score(
+    one: Rigid, two: Rigid, *, noise_m: float = 0.0, guess_m: Array | None = None, guess_sd_m: float = 1.0
+) -> Array:
     """The centre in both segments' axes (2, 3): where it moves least, from one to the other.
 
     ``guess_m`` (frames, 3), where it is expected in the world, holds it where the motion does not show it: along the

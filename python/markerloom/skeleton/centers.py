@@ -20,7 +20,7 @@ NOISE_M = 0.004
 
 
 def motion_centers(placed: Placed, seen_m: Array, motion: Motion, guesses: Centers, guess_sd_m: float) -> Centers:
-    """Centres of joints between segments with markers; ``motion``: the body posed before the fit, ``guesses``: rules."""
+    """Centres of joints between segments with markers; ``motion``: the body before the fit, ``guesses``: rules."""
     skeleton = motion.skeleton
     of: dict[int, list[int]] = {}
     for m, joint in enumerate(placed.joints):

@@ -25,6 +25,8 @@ Pin = tuple[int, int, list[float], list[float], float]
 FEET = ("heel", "ball")
 SLOW_M_PER_S, LOW_M = 0.20, 0.035
 """A place that stands moves less than this, and is not higher above its lowest than this."""
+STAYS_M = 0.015
+"""While it stands, all its places are within this."""
 STANDS_S, FADES_S = 0.12, 0.12
 """It stands at least so long; before and after, the hold fades over so long (s)."""
 HELD_M, LOOSE_M = 1e-4, 0.05
@@ -52,10 +54,23 @@ def find_contacts(motion: Motion) -> list[Contact]:
         low = height[:, 2] < np.percentile(height[:, 2], 3) + LOW_M
         out += [
             Contact(site.name, motion.first_frame + a, motion.first_frame + b)
-            for a, b in runs(low & (speed < SLOW_M_PER_S))
+            for first, last in runs(low & (speed < SLOW_M_PER_S))
+            for a, b in _in_place(places[first:last, i, :2], first)
             if b - a >= STANDS_S * motion.rate_hz
         ]
     return sorted(out, key=lambda c: (c.start, c.site))
+
+
+def _in_place(flat: Array, first: int) -> list[tuple[int, int]]:
+    """Parts of a slow stretch (frames, 2) within which the place stays where it is: a foot that creeps is not held."""
+    out, start = [], 0
+    low = high = flat[0]
+    for f, here in enumerate(flat):
+        low, high = np.minimum(low, here), np.maximum(high, here)
+        if np.linalg.norm(high - low) > STAYS_M:
+            out.append((first + start, first + f))
+            start, low, high = f, here, here
+    return [*out, (first + start, first + len(flat))]
 
 
 def _smooth(places: Array, rate_hz: float) -> Array:

@@ -152,6 +152,11 @@ def write_skeleton(skeleton: Skeleton, path: str | Path) -> None:
     """Write a skeleton as TOML, in millimetres."""
     if Path(path).suffix != ".toml":
         raise InputError(f"skeletons are written as .toml ({path})")
+    write_text(path, skeleton_text(skeleton))
+
+
+def skeleton_text(skeleton: Skeleton) -> str:
+    """A skeleton as TOML."""
     places = skeleton.places_m() * 1000.0
     other = {name: alias for alias, name in skeleton.aliases.items()}
     lines = [
@@ -181,7 +186,7 @@ def write_skeleton(skeleton: Skeleton, path: str | Path) -> None:
     if skeleton.segments:
         lines += ["", "[segments]"]
         lines += [f"{json.dumps(s)} = {json.dumps(skeleton.joints[j])}" for s, j in skeleton.segments.items()]
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def _numbers(values: Any, digits: int) -> str:

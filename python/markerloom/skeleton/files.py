@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from markerloom.errors import InputError
-from markerloom.skeleton import asf_amc, bvh
+from markerloom.formats import write_points
+from markerloom.skeleton import asf_amc, bvh, glb, osim, tables, usd
 from markerloom.skeleton.motion import Z_UP_TO_Y_UP, Motion, rest_of, turned, with_rest
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
 UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 MOTIONS_READ = (".bvh", ".amc")
-MOTIONS_WRITTEN = (".bvh", ".asf", ".amc")
+USD = (".usda", ".usdc")
+POINTS_OF_JOINTS = (".trc", ".c3d")
+TABLES = (".parquet", ".csv")
+MOTIONS_WRITTEN = (".bvh", ".asf", ".amc", ".glb", *USD, ".osim", ".mot", *POINTS_OF_JOINTS, *TABLES)
 RESTS = {"t-pose": 0.0, "a-pose": 45.0, "i-pose": 90.0}
 """How far the arms hang from the T-pose (deg)."""
 
@@ -42,9 +46,7 @@ def unit_m(units: str) -> float:
     return length
 
 
-def read_motion(
-    path: str | Path, *, units: str | None = None, up: str = "y", rate_hz: float | None = None
-) -> Motion:
+def read_motion(path: str | Path, *, units: str | None = None, up: str = "y", rate_hz: float | None = None) -> Motion:
     """A motion from .bvh (units: cm unless said) or .amc with its .asf beside it (units: as the file says).
 
     AMC files have no frame rate: 120 Hz unless said.
@@ -102,6 +104,26 @@ def with_arms(motion: Motion, rest: str) -> Motion:
     return with_rest(motion, rest_of(skeleton, {skeleton.joints[j]: hang[s] for s, j in arms.items()}))
 
 
+@dataclass(frozen=True)
+class Style:
+    """What a program expects of a file: units, up axis, order of Euler angles, rest pose."""
+
+    units: str = "cm"
+    up: str = "y"
+    order: str | None = None
+    rest: str = "t-pose"
+
+
+PRESETS = {
+    "vicon": Style(units="mm", up="z"),
+    "opensim": Style(units="m", up="y"),
+    "blender": Style(units="m", up="z"),
+    "unity": Style(units="m", up="y", order="ZXY"),
+    "unreal": Style(units="cm", up="z"),
+    "maya": Style(units="cm", up="y", order="XYZ"),
+}
+
+
 def write_motion(
     motion: Motion,
     path: str | Path,
@@ -109,24 +131,46 @@ def write_motion(
     units: str | None = None,
     up: str | None = None,
     order: str | None = None,
-    rest: str = "t-pose",
+    rest: str | None = None,
     radians: bool = False,
+    preset: str | None = None,
+    markers: osim.Glued = (),
 ) -> list[Path]:
     """Write a motion by its ending; returns the files written.
 
-    ``units``: cm unless said; ``up``: y unless said; ``order``: of the Euler angles of a BVH, such as ZXY.
+    ``units``: of lengths (cm), ``up``: the axis (y), ``order``: of the Euler angles of a BVH, such as ZXY, ``rest``:
+    t-pose, a-pose or i-pose; what is not said comes from the ``preset``. ``markers``: for .osim.
     """
     kind = Path(path).suffix.lower()
     if kind not in MOTIONS_WRITTEN:
         raise InputError(f"motions are written as {', '.join(MOTIONS_WRITTEN)}, not '{kind}' ({path})")
+    if preset is not None and preset not in PRESETS:
+        raise InputError(f"there is no preset '{preset}': {', '.join(PRESETS)}")
+    style = PRESETS.get(preset or "", Style())
+    units, order, rest = units or style.units, order or style.order, rest or style.rest
     motion = with_arms(motion, rest)
     if order is not None:
         if sorted(order.upper()) != ["X", "Y", "Z"]:
             raise InputError(f"an order of angles is X, Y and Z in some order, not '{order}'")
         motion = replace(motion, skeleton=replace(motion.skeleton, orders=(order.upper(),) * len(motion.skeleton)))
-    out = in_axes(motion, up or "y")
-    if kind == ".bvh":
-        bvh.write(out, path, unit_m(units or "cm"))
+    if kind in POINTS_OF_JOINTS:
+        write_points(replace(tables.as_points(motion), up_axis=up or (style.up if preset else "z")), path)
         return [Path(path)]
-    return list(asf_amc.write(out, path, unit_m(units or "cm"), radians=radians))
-
+    if kind in TABLES:
+        tables.write(motion, path)
+        return [Path(path)]
+    # USD says its up axis; the others are Y up unless told otherwise, glTF always.
+    axis = "y" if kind == ".glb" else up or (style.up if preset else "z" if kind in USD else "y")
+    out = in_axes(motion, axis)
+    if kind == ".bvh":
+        bvh.write(out, path, unit_m(units))
+    elif kind == ".glb":
+        glb.write(out, path)
+    elif kind in USD:
+        usd.write(out, path, axis)
+    elif kind in (".osim", ".mot"):
+        turned_markers = [(name, joint, axes_from(axis).T @ place) for name, joint, place in markers]
+        return list(osim.write(out, path, turned_markers))
+    else:
+        return list(asf_amc.write(out, path, unit_m(units), radians=radians))
+    return [Path(path)]

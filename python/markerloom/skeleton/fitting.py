@@ -98,7 +98,7 @@ def fit_skeleton(
     stature = _stature_m(names, seen_m, placed, skeleton, known, source)
     body = skeleton.scaled(stature / (skeleton.stature_m or _height(skeleton)))
     places = _first_places(body, placed, stature)
-    exact = np.isfinite(placed.place).all(axis=1)
+    exact = np.asarray(np.isfinite(placed.place).all(axis=1))
     place_sd = stature * np.where(exact, PLACE_SD, UNKNOWN_SD)
     keys_m = seen_m[key_frames(seen_m, placed, body)]
     first = figure_of(body, placed.joints, places, place_sd)
@@ -157,7 +157,7 @@ def stature_m(seen_m: Array, placed: Placed, skeleton: Skeleton) -> float:
     """
     size = skeleton.stature_m or _height(skeleton)
     rest = skeleton.places_m() / size
-    exact = np.isfinite(placed.place).all(axis=1)
+    exact = np.asarray(np.isfinite(placed.place).all(axis=1))
     place = np.where(exact[:, None], placed.place, 0.0)
     joints = np.array(placed.joints)
     groups: list[tuple[int, Array, Array]] = []
@@ -249,7 +249,7 @@ def key_frames(seen_m: Array, placed: Placed, skeleton: Skeleton) -> NDArray[np.
     """Frames with most markers whose poses differ as much as possible: for one segment after the other, the frame in
     which it is turned most unlike all those that were chosen before.
     """
-    there = np.isfinite(seen_m).all(axis=2)
+    there = np.asarray(np.isfinite(seen_m).all(axis=2))
     count = there.sum(axis=1)
     frames = np.flatnonzero(count >= PRESENT * count.max())
     if len(frames) <= KEY_FRAMES:
@@ -280,9 +280,7 @@ def _unlike(seen_m: Array, own: list[int], near: list[int]) -> Array:
     return np.nan_to_num(apart)
 
 
-def _without_places(
-    body: Skeleton, placed: Placed, keys_m: Array, stature: float
-) -> tuple[_core.Figure, Array]:
+def _without_places(body: Skeleton, placed: Placed, keys_m: Array, stature: float) -> tuple[_core.Figure, Array]:
     """Where only segments are known: the middles of the segments' markers pose the body, and the markers are where
     they are on it, on average.
     """

@@ -115,9 +115,7 @@ def with_rest(motion: Motion, rest: Array) -> Motion:
     turns = np.einsum("jab,fjbc,jdc->fjad", old_parent, motion.turns, rest)
     sites = tuple(replace(s, place_m=tuple((rest[s.joint] @ np.array(s.place_m)).tolist())) for s in skeleton.sites)
     shifts = None if motion.shifts_m is None else np.einsum("jab,fjb->fja", old_parent, motion.shifts_m)
-    return replace(
-        motion, skeleton=replace(skeleton, offsets_m=offsets, sites=sites), turns=turns, shifts_m=shifts
-    )
+    return replace(motion, skeleton=replace(skeleton, offsets_m=offsets, sites=sites), turns=turns, shifts_m=shifts)
 
 
 def rest_of(skeleton: Skeleton, turns: dict[str, Array]) -> Array:

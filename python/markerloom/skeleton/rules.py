@@ -27,7 +27,7 @@ ON_BOTH_SIDES = {
     "l_knee": (("LKNE", "LKNI"), ("LKnee", "LKneeIn")),
     "l_talocrural": (("LANK", "LANI"), ("LAnkle", "LAnkleIn")),
 }
-PELVIS = (("LASI", "RASI", "LPSI", "RPSI"), ("LFWT", "RFWT", "LBWT", "RBWT"))
+PELVIS: tuple[tuple[str, str, str, str], ...] = (("LASI", "RASI", "LPSI", "RPSI"), ("LFWT", "RFWT", "LBWT", "RBWT"))
 
 
 def midpoint(a_m: Array, b_m: Array) -> Array:
@@ -92,7 +92,9 @@ def rule_centers(skeleton: Skeleton, markers: list[str], known: Hints | MarkerSe
                 put(skeleton.index(joint), midpoint(marker(pair[0]), marker(pair[1])), MIDPOINT_SD_M)
     four = next((names for names in PELVIS if set(names) <= set(markers)), None)
     if four is not None:
-        for joint, center in zip(("l_hip", "r_hip"), hips(*(marker(n) for n in four)), strict=True):
+        for joint, center in zip(
+            ("l_hip", "r_hip"), hips(marker(four[0]), marker(four[1]), marker(four[2]), marker(four[3])), strict=True
+        ):
             if skeleton.index(joint) > 0:
                 put(skeleton.index(joint), center, HIP_SD_M)
     return out
@@ -111,9 +113,9 @@ def _said(
         raise InputError(f"{source}, joint '{joint}': there is no marker '{absent[0]}' on a segment")
     at = [seen_m[:, markers.index(n)] for n in names]
     if "midpoint" in rule and len(at) == 2:
-        return index, midpoint(*at), MIDPOINT_SD_M
+        return index, midpoint(at[0], at[1]), MIDPOINT_SD_M
     if "beside" in rule and len(at) == 3 and isinstance(rule.get("distance_mm"), int | float):
-        return index, beside(*at, rule["distance_mm"] / 1000.0), BESIDE_SD_M
+        return index, beside(at[0], at[1], at[2], rule["distance_mm"] / 1000.0), BESIDE_SD_M
     raise InputError(
         f"{source}, joint '{joint}': a rule is {{ midpoint = [a, b] }} or "
         "{ beside = [before, at, after], distance_mm = d }"

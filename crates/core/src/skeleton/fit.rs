@@ -134,19 +134,26 @@ fn solve_all(figure: &Figure, frames: &[Seen], poses: &[Pose]) -> (Vec<Pose>, f6
     (solved.into_iter().map(|s| s.pose).collect(), cost)
 }
 
-/// Differences from what is known: (columns with signs, difference, standard deviation).
-fn knowledge(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) -> Vec<(Vec<(usize, f64)>, f64, f64)> {
+/// Something known of shared parameters: columns with signs, how far the figure is from it, and how well it is known.
+struct Fact {
+    columns: Vec<(usize, f64)>,
+    off: f64,
+    sd: f64,
+}
+
+/// How far a figure is from what is known.
+fn knowledge(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) -> Vec<Fact> {
     let mut rows = Vec::new();
     for (i, &j) in shared.joints.iter().enumerate() {
         let off = figure.joints[j].offset_m - start.joints[j].offset_m;
         for k in 0..3 {
-            rows.push((vec![(3 * i + k, 1.0)], off[k], known.offset_sd_m[j][k]));
+            rows.push(Fact { columns: vec![(3 * i + k, 1.0)], off: off[k], sd: known.offset_sd_m[j][k] });
         }
     }
     for m in 0..shared.markers {
         let off = figure.markers[m].place_m - start.markers[m].place_m;
         for k in 0..3 {
-            rows.push((vec![(shared.of_marker(m) + k, 1.0)], off[k], known.place_sd_m[m]));
+            rows.push(Fact { columns: vec![(shared.of_marker(m) + k, 1.0)], off: off[k], sd: known.place_sd_m[m] });
         }
     }
     for &(left, right, sd) in &known.mirrored {
@@ -154,14 +161,14 @@ fn knowledge(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) ->
         let (a, b) = (figure.joints[left].offset_m, figure.joints[right].offset_m);
         for k in 0..3 {
             let sign = if k == 0 { 1.0 } else { -1.0 };
-            rows.push((vec![(l + k, 1.0), (r + k, sign)], a[k] + sign * b[k], sd));
+            rows.push(Fact { columns: vec![(l + k, 1.0), (r + k, sign)], off: a[k] + sign * b[k], sd });
         }
     }
     rows
 }
 
 fn prior_cost(shared: &Shared, start: &Figure, figure: &Figure, known: &Known) -> f64 {
-    knowledge(shared, start, figure, known).iter().map(|(_, off, sd)| 0.5 * (off / sd).powi(2)).sum()
+    knowledge(shared, start, figure, known).iter().map(|fact| 0.5 * (fact.off / fact.sd).powi(2)).sum()
 }
 
 /// The best change of the shared parameters with the poses following.
@@ -188,7 +195,7 @@ fn shared_step(
             g += gradient;
         }
     }
-    for (columns, off, sd) in knowledge(shared, start, figure, known) {
+    for Fact { columns, off, sd } in knowledge(shared, start, figure, known) {
         let weight = 1.0 / (sd * sd);
         for &(a, x) in &columns {
             g[a] += weight * x * off;
@@ -317,4 +324,41 @@ fn rms(figure: &Figure, frames: &[Seen], poses: &[Pose]) -> f64 {
         }
     }
     (sum / count.max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::solve::tests::{posed, puppet, seen};
+    use super::*;
+
+    #[test]
+    fn bones_and_places_are_found_from_motion() {
+        let truth = puppet();
+        let pose = |t: usize| {
+            let mut pose = posed();
+            for (j, turn) in pose.turns.iter_mut().enumerate().skip(1) {
+                let phase = t as f64 * (0.3 + 0.11 * j as f64);
+                *turn += Vector3::new(phase.sin(), (1.7 * phase).cos(), (0.6 * phase).sin()) * 0.6;
+            }
+            pose
+        };
+        let poses: Vec<Pose> = (0..60).map(pose).collect();
+        let frames: Vec<Seen> = poses.iter().map(|p| Seen { markers_m: seen(&truth, p), ..Seen::default() }).collect();
+        let mut start = truth.clone();
+        start.joints[2].offset_m += Vector3::new(0.02, -0.015, 0.01);
+        start.joints[3].offset_m += Vector3::new(-0.01, 0.02, 0.01);
+        for marker in &mut start.markers {
+            marker.sigma_m = 0.02;
+        }
+        let known = Known {
+            offset_sd_m: vec![Vector3::repeat(0.05); 5],
+            place_sd_m: vec![0.05; truth.markers.len()],
+            mirrored: Vec::new(),
+        };
+        let fitted = fit(&start, &frames, poses, &known);
+        assert!(fitted.residual_m < 2e-4, "{}", fitted.residual_m);
+        for (found, true_joint) in fitted.figure.joints.iter().zip(&truth.joints).skip(1) {
+            assert!((found.offset_m.norm() - true_joint.offset_m.norm()).abs() < 2e-3);
+        }
+    }
 }

@@ -65,10 +65,9 @@ pub fn segments(joints: &[Joint], pose: &Pose) -> Vec<Segment> {
     for (j, joint) in joints.iter().enumerate() {
         all.push(match joint.parent {
             None => Segment { turn: pose.root, joint_m: pose.root_m },
-            Some(p) => Segment {
-                turn: all[p].turn * joint.turned(&pose.turns[j]),
-                joint_m: all[p].place(&joint.offset_m),
-            },
+            Some(p) => {
+                Segment { turn: all[p].turn * joint.turned(&pose.turns[j]), joint_m: all[p].place(&joint.offset_m) }
+            }
         });
     }
     all
@@ -116,6 +115,12 @@ pub fn best_turn(spread: &Matrix3<f64>) -> Rotation3<f64> {
 mod tests {
     use super::*;
 
+    /// The vector of a rotation by next to nothing.
+    fn small(turn: &Rotation3<f64>) -> Vector3<f64> {
+        let m = (turn.matrix() - turn.matrix().transpose()) * 0.5;
+        Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)])
+    }
+
     #[test]
     fn the_axes_of_a_joint_are_the_derivative_of_its_turn() {
         for order in [None, Some([0, 1, 2]), Some([2, 1, 0]), Some([1, 2, 0])] {
@@ -132,7 +137,7 @@ mod tests {
             for k in 0..3 {
                 let step = Vector3::from_fn(|i, _| if i == k { 1e-6 } else { 0.0 });
                 let moved = joint.turned(&(turn + step)) * joint.turned(&(turn - step)).inverse();
-                assert!((moved.scaled_axis() / 2e-6 - axes.column(k)).norm() < 1e-6);
+                assert!((small(&moved) / 2e-6 - axes.column(k)).norm() < 1e-6);
             }
         }
     }
@@ -144,7 +149,7 @@ mod tests {
             for k in 0..3 {
                 let step = Vector3::from_fn(|i, _| if i == k { 1e-6 } else { 0.0 });
                 let turned = Rotation3::new(r + step) * Rotation3::new(r - step).inverse();
-                assert!((turned.scaled_axis() / 2e-6 - jacobian.column(k)).norm() < 1e-6);
+                assert!((small(&turned) / 2e-6 - jacobian.column(k)).norm() < 1e-6);
             }
         }
     }

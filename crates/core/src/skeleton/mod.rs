@@ -65,10 +65,6 @@ pub struct Pose {
 impl Figure {
     /// The rest pose with the root in the origin.
     pub fn rest(&self) -> Pose {
-        Pose {
-            root_m: Vector3::zeros(),
-            root: Rotation3::identity(),
-            turns: vec![Vector3::zeros(); self.joints.len()],
-        }
+        Pose { root_m: Vector3::zeros(), root: Rotation3::identity(), turns: vec![Vector3::zeros(); self.joints.len()] }
     }
 }

@@ -24,9 +24,9 @@ pub struct Normal {
 
 impl Normal {
     /// Empty equations; `above[c]` is the next column towards the root.
-    pub fn new(above: Vec<Option<usize>>) -> Self {
+    pub fn new(above: &[Option<usize>]) -> Self {
         let (mut ways, mut begins) = (Vec::new(), vec![0]);
-        for &first in &above {
+        for &first in above {
             ways.extend(std::iter::successors(first, |&c| above[c]));
             begins.push(ways.len());
         }
@@ -175,7 +175,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     fn example() -> (Normal, DMatrix<f64>) {
-        let mut normal = Normal::new(vec![None, Some(0), Some(1), Some(1), Some(0), Some(4)]);
+        let mut normal = Normal::new(&[None, Some(0), Some(1), Some(1), Some(0), Some(4)]);
         let mut dense = DMatrix::zeros(6, 6);
         for c in 0..6 {
             let entry = |a: usize| 0.7 - 0.2 * a as f64 + 0.1 * c as f64;
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn what_is_not_positive_is_refused() {
-        let mut normal = Normal::new(vec![None, Some(0)]);
+        let mut normal = Normal::new(&[None, Some(0)]);
         normal.set(0, 1.0, |_| 0.0);
         normal.set(1, 1.0, |_| 2.0);
         assert!(normal.factor(0.0).is_none());

@@ -122,7 +122,7 @@ impl Solver {
                 last[j] = columns.len() - 1;
             }
         }
-        Self { columns, normal: Normal::new(above) }
+        Self { columns, normal: Normal::new(&above) }
     }
 
     /// Solver for a figure's own markers and what else is observed.
@@ -242,14 +242,7 @@ impl Solver {
     }
 
     /// The cost alone.
-    fn value(
-        &self,
-        figure: &Figure,
-        pose: &Pose,
-        evidence: Evidence<'_>,
-        prior: Option<&Prior>,
-        scale: f64,
-    ) -> f64 {
+    fn value(&self, figure: &Figure, pose: &Pose, evidence: Evidence<'_>, prior: Option<&Prior>, scale: f64) -> f64 {
         let all = segments(&figure.joints, pose);
         let mut cost: f64 = squares(figure, &all, evidence).map(|square| robust(square, scale)).sum();
         for pin in evidence.pins {
@@ -359,8 +352,7 @@ impl Solver {
     /// root.
     fn variance(&self, last: usize, at: &Vector3<f64>, twists: &[Vector6<f64>], inverse: &Inverse) -> f64 {
         let above = self.normal.way(last);
-        let moves: Vec<Vector3<f64>> =
-            std::iter::once(&last).chain(above).map(|&c| velocity(&twists[c], at)).collect();
+        let moves: Vec<Vector3<f64>> = std::iter::once(&last).chain(above).map(|&c| velocity(&twists[c], at)).collect();
         let mut sum = 0.0;
         for (p, c) in std::iter::once(&last).chain(above).enumerate() {
             sum += inverse.diagonal(*c) * moves[p].norm_squared();
@@ -537,4 +529,141 @@ pub fn residuals(figure: &Figure, pose: &Pose, markers_m: &[Option<Vector3<f64>>
         seen.map(|seen| (all[marker.joint].place(&marker.place_m) - seen).norm())
     };
     figure.markers.iter().zip(markers_m).map(off).collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::skeleton::Marker;
+
+    /// A trunk with two arms of two bones, three markers on each segment.
+    pub(crate) fn puppet() -> Figure {
+        let joint = |parent: Option<usize>, offset: [f64; 3], order| Joint {
+            parent,
+            offset_m: offset.into(),
+            order,
+            free: [true; 3],
+            limits_rad: [[-PI, PI]; 3],
+            rest_sd_rad: [3.0; 3],
+        };
+        let joints = vec![
+            joint(None, [0.0; 3], None),
+            joint(Some(0), [0.2, 0.0, 0.4], None),
+            joint(Some(1), [0.3, 0.0, 0.0], Some([2, 1, 0])),
+            joint(Some(0), [-0.2, 0.0, 0.4], None),
+            joint(Some(3), [-0.3, 0.0, 0.0], Some([2, 1, 0])),
+        ];
+        let places = [[0.05, 0.04, 0.1], [-0.06, 0.05, 0.12], [0.1, -0.05, -0.02]];
+        let markers = (0..5)
+            .flat_map(|joint| places.map(|place| Marker { joint, place_m: place.into(), sigma_m: 0.001 }))
+            .collect();
+        Figure { joints, markers }
+    }
+
+    pub(crate) fn posed() -> Pose {
+        Pose {
+            root_m: Vector3::new(1.0, -2.0, 0.9),
+            root: Rotation3::new(Vector3::new(0.3, -0.4, 2.0)),
+            turns: vec![
+                Vector3::zeros(),
+                Vector3::new(0.5, 0.8, -0.3),
+                Vector3::new(0.2, 0.1, 1.1),
+                Vector3::new(-0.4, -0.6, 0.2),
+                Vector3::new(0.1, 0.05, -0.7),
+            ],
+        }
+    }
+
+    pub(crate) fn seen(figure: &Figure, pose: &Pose) -> Vec<Option<Vector3<f64>>> {
+        let all = segments(&figure.joints, pose);
+        figure.markers.iter().map(|m| Some(all[m.joint].place(&m.place_m))).collect()
+    }
+
+    fn far(figure: &Figure, a: &Pose, b: &Pose) -> f64 {
+        let (a, b) = (segments(&figure.joints, a), segments(&figure.joints, b));
+        a.iter().zip(&b).map(|(p, q)| (p.joint_m - q.joint_m).norm()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn the_gradient_is_the_derivative_of_the_cost() {
+        let mut figure = puppet();
+        figure.joints[2].limits_rad[2] = [-1.0, 0.5];
+        let markers = seen(&figure, &posed());
+        let pins = [Pin { joint: 4, place_m: Vector3::x() * -0.2, target_m: Vector3::zeros(), sigma_m: 0.5 }];
+        let orientations =
+            [Orientation { joint: 1, target: Rotation3::new(Vector3::new(0.3, -0.4, 1.9)), sigma_rad: 0.2 }];
+        let evidence = Evidence { markers_m: &markers, pins: &pins, orientations: &orientations };
+        let mut pose = posed();
+        pose.turns[1] += Vector3::new(0.01, -0.02, 0.03);
+        pose.root_m.x += 0.01;
+        let mut solver = Solver::of(&figure, []);
+        // Orientations are differentiated as if the difference were small: compare where it is.
+        let all = segments(&figure.joints, &pose);
+        let turn = Rotation3::new(Vector3::new(0.004, 0.003, -0.005)) * all[1].turn;
+        let orientations = [Orientation { target: turn, ..orientations[0].clone() }];
+        let evidence = Evidence { orientations: &orientations, ..evidence };
+        solver.assemble(&figure, &pose, evidence, None, 1.0);
+        let gradient = solver.normal.g.clone();
+        for (c, g) in gradient.iter().enumerate() {
+            let step = |size: f64| {
+                let step: Vec<f64> = (0..solver.len()).map(|k| if k == c { size } else { 0.0 }).collect();
+                let moved = solver.moved(&figure.joints, &pose, &step);
+                solver.value(&figure, &moved, evidence, None, 1.0)
+            };
+            let numeric = (step(1e-6) - step(-1e-6)) / 2e-6;
+            assert!((g - numeric).abs() < 2e-3 * (1.0 + numeric.abs()), "column {c}: {g} is not {numeric}");
+        }
+    }
+
+    #[test]
+    fn a_pose_is_found_exactly_without_noise() {
+        let figure = puppet();
+        let markers = seen(&figure, &posed());
+        let evidence = Evidence { markers_m: &markers, ..Evidence::default() };
+        let mut start = figure.rest();
+        start.root_m = posed().root_m;
+        start.root = posed().root * Rotation3::new(Vector3::new(0.2, 0.1, 0.3));
+        let solved = Solver::of(&figure, []).solve(&figure, start, evidence, None);
+        assert!(far(&figure, &solved.pose, &posed()) < 1e-6, "{}", far(&figure, &solved.pose, &posed()));
+    }
+
+    #[test]
+    fn two_swapped_markers_hardly_move_the_pose() {
+        let figure = puppet();
+        let mut markers = seen(&figure, &posed());
+        markers.swap(3, 9);
+        let evidence = Evidence { markers_m: &markers, ..Evidence::default() };
+        let solved = Solver::of(&figure, []).solve(&figure, posed(), evidence, None);
+        assert!(far(&figure, &solved.pose, &posed()) < 1e-3);
+    }
+
+    #[test]
+    fn an_orientation_turns_a_segment_without_markers() {
+        let mut figure = puppet();
+        figure.markers.retain(|m| m.joint < 3);
+        let markers = seen(&figure, &posed());
+        let all = segments(&figure.joints, &posed());
+        let known: Vec<Orientation> =
+            [3, 4].map(|joint| Orientation { joint, target: all[joint].turn, sigma_rad: 0.01 }).into();
+        let evidence = Evidence { markers_m: &markers, orientations: &known, ..Evidence::default() };
+        let mut start = posed();
+        (start.turns[3], start.turns[4]) = (Vector3::zeros(), Vector3::zeros());
+        let solved = Solver::of(&figure, [3, 4]).solve(&figure, start, evidence, None);
+        assert!(far(&figure, &solved.pose, &posed()) < 1e-4);
+    }
+
+    #[test]
+    fn what_nothing_is_seen_of_is_less_certain() {
+        let figure = puppet();
+        let mut markers = seen(&figure, &posed());
+        let certain = |markers: &[Option<Vector3<f64>>]| {
+            let evidence = Evidence { markers_m: markers, ..Evidence::default() };
+            Solver::of(&figure, []).certainty(&figure, &posed(), evidence, None, true).expect("positive")
+        };
+        let all = certain(&markers);
+        markers[6..9].fill(None);
+        let fewer = certain(&markers);
+        assert!(all.turn_rad2[2].max() < 1e-3 && fewer.turn_rad2[2].min() > 1.0);
+        assert!((all.joint_m2[4] - fewer.joint_m2[4]).abs() < 0.5 * all.joint_m2[4]);
+    }
 }

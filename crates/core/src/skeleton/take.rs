@@ -103,7 +103,8 @@ impl Follower {
         let (mut near, mut far) = (vec![0usize; n], vec![0usize; n]);
         for (off, marker) in off.iter().zip(&self.figure.markers) {
             let Some(off) = off else { continue };
-            let count = if *off > LOST_SIGMAS * marker.sigma_m.max(LOST_M / LOST_SIGMAS) { &mut far } else { &mut near };
+            let count =
+                if *off > LOST_SIGMAS * marker.sigma_m.max(LOST_M / LOST_SIGMAS) { &mut far } else { &mut near };
             count[marker.joint] += 1;
         }
         let lost: Vec<usize> = (1..n).filter(|&j| near[j] == 0 && far[j] > 0).collect();
@@ -315,8 +316,10 @@ fn neighbours(figure: &Figure, step_s: f64, poses: &[Pose], certain: &[Option<Ce
         }
         for k in 0..3 {
             let rest = joint.rest_sd_rad[k] * joint.rest_sd_rad[k];
-            let variance: Vec<f64> =
-                certain.iter().map(|c| data_alone(c.as_ref().map_or(f64::INFINITY, |c| c.turn_rad2[j][k]), rest)).collect();
+            let variance: Vec<f64> = certain
+                .iter()
+                .map(|c| data_alone(c.as_ref().map_or(f64::INFINITY, |c| c.turn_rad2[j][k]), rest))
+                .collect();
             let values: Vec<f64> = turns.iter().map(|t| t[k]).collect();
             for (t, (mean, sd)) in without_itself(&values, &variance, step_s, LEAST_TURN).into_iter().enumerate() {
                 // The frame's own vector may be the other one of the same rotation.
@@ -450,4 +453,74 @@ fn smoothed(values: &[f64], variance: &[f64], dt: f64, acceleration: f64) -> (Ve
         spread[t] = later_p[(0, 0)].max(1e-18);
     }
     (mean, spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::solve::tests::{posed, puppet, seen};
+    use super::*;
+
+    /// A second of smooth motion at 100 Hz.
+    fn frames(figure: &Figure) -> (Vec<Pose>, Vec<Seen>) {
+        let pose = |t: usize| {
+            let mut pose = posed();
+            let phase = t as f64 * 0.05;
+            pose.root_m.x += 0.2 * phase;
+            pose.turns[1].y += 0.5 * phase.sin();
+            pose.turns[2].z += 0.4 * (1.3 * phase).cos();
+            pose
+        };
+        let poses: Vec<Pose> = (0..100).map(pose).collect();
+        let all = poses.iter().map(|p| Seen { markers_m: seen(figure, p), ..Seen::default() }).collect();
+        (poses, all)
+    }
+
+    fn hand(figure: &Figure, pose: &Pose) -> Vector3<f64> {
+        segments(&figure.joints, pose)[2].place(&Vector3::new(0.25, 0.0, 0.0))
+    }
+
+    #[test]
+    fn a_take_without_noise_is_found_within_its_noise() {
+        let figure = puppet();
+        let (poses, all) = frames(&figure);
+        let solved = solve_take(&figure, 0.01, &all, None);
+        for (found, truth) in solved.iter().zip(&poses) {
+            assert!((hand(&figure, &found.pose) - hand(&figure, truth)).norm() < 5e-4);
+        }
+    }
+
+    #[test]
+    fn an_arm_that_is_gone_is_carried_through_and_taken_up_again() {
+        let figure = puppet();
+        let (poses, mut all) = frames(&figure);
+        for seen in &mut all[40..70] {
+            seen.markers_m[3..9].fill(None);
+        }
+        let solved = solve_take(&figure, 0.01, &all, None);
+        let off = |t: usize| (hand(&figure, &solved[t].pose) - hand(&figure, &poses[t])).norm();
+        assert!((40..70).map(off).fold(0.0, f64::max) < 0.05);
+        let after = (72..100).map(off).fold(0.0, f64::max);
+        assert!(after < 3e-3, "{after}");
+        let bend = |at: &dyn Fn(usize) -> Vector3<f64>, t: usize| (at(t + 1) - 2.0 * at(t) + at(t - 1)).norm();
+        let ours = |t: usize| hand(&figure, &solved[t].pose);
+        let truth = |t: usize| hand(&figure, &poses[t]);
+        let sharpest = |at: &dyn Fn(usize) -> Vector3<f64>| (1..99).map(|t| bend(at, t)).fold(0.0, f64::max);
+        assert!(sharpest(&ours) < 2.0 * sharpest(&truth), "{} {}", sharpest(&ours), sharpest(&truth));
+    }
+
+    #[test]
+    fn a_pinned_place_stays() {
+        let figure = puppet();
+        let (poses, mut all) = frames(&figure);
+        let place_m = Vector3::new(-0.2, 0.0, 0.0);
+        let target_m = segments(&figure.joints, &poses[50])[4].place(&place_m);
+        for seen in &mut all[48..53] {
+            seen.pins.push(Pin { joint: 4, place_m, target_m, sigma_m: 1e-4 });
+        }
+        let solved = solve_take(&figure, 0.01, &all, None);
+        for frame in &solved[48..53] {
+            let at = segments(&figure.joints, &frame.pose)[4].place(&place_m);
+            assert!((at - target_m).norm() < 1e-3);
+        }
+    }
 }

@@ -234,7 +234,8 @@ impl Body {
             }
             Motion::Rom => {
                 let sway = |rate: f64, phase: f64| (TAU * rate * t + phase).sin();
-                let place = Vector3::new(0.02 * sway(0.2, self.phases[0]), 0.02 * sway(0.13, self.phases[1]), T_POSE_ROOT);
+                let place =
+                    Vector3::new(0.02 * sway(0.2, self.phases[0]), 0.02 * sway(0.13, self.phases[1]), T_POSE_ROOT);
                 (place + self.center, Rotation3::from_axis_angle(&Vector3::z_axis(), 0.1 * sway(0.1, self.phases[2])))
             }
             Motion::Dance => {

@@ -53,8 +53,8 @@ def solve(
     """The motion of a skeleton under the take's named markers.
 
     The skeleton is fitted to the take itself, or to ``fit_from`` (a range of motion or a static pose); a ``Wearer``
-    that was fitted before is used as it is. ``known``: hints or a marker set where names do not say which; ``contacts``:
-    feet that stand are held (found, or as given). Raises ``InputError`` where nobody can be solved for.
+    that was fitted before is used as it is. ``known``: hints or a marker set where names do not say which;
+    ``contacts``: feet that stand are held (found, or as given). Raises ``InputError`` where nobody can be solved for.
     """
     rate = rate_hz or points.rate_hz
     if not rate:
@@ -69,7 +69,9 @@ def solve(
         wearer = fit_skeleton(*own, body, known=known, source=source)
     worn_m = _columns(wearer, names, xyz_m, points.source)
     figure = wearer.figure()
-    first = Motion(wearer.skeleton, np.zeros((0, 3)), np.zeros((0, 0, 3, 3)), rate, int(frames[0]), source=points.source)
+    first = Motion(
+        wearer.skeleton, np.zeros((0, 3)), np.zeros((0, 0, 3, 3)), rate, int(frames[0]), source=points.source
+    )
     poses, certain = figure.solve(worn_m, 1.0 / rate, [], [], None)
     motion = _motion(wearer, first, worn_m, poses, certain)
     held: list[Contact] = find_contacts(motion) if contacts is True else list(contacts or [])
@@ -118,7 +120,7 @@ def _motion(wearer: Wearer, like: Motion, worn_m: Array, poses: _core.Poses, cer
 def _inferred(wearer: Wearer, worn_m: Array) -> NDArray[np.bool_]:
     """Where no marker at or below a joint tells its turn (frames, joints)."""
     told = np.zeros((len(worn_m), len(wearer.skeleton)), bool)
-    there = np.isfinite(worn_m).all(axis=2)
+    there = np.asarray(np.isfinite(worn_m).all(axis=2))
     for m, joint in enumerate(wearer.joints):
         told[:, joint] |= there[:, m]
     for j in range(len(wearer.skeleton) - 1, 0, -1):
@@ -134,9 +136,7 @@ def residuals_m(wearer: Wearer, motion: Motion, worn_m: Array) -> Array:
     return np.linalg.norm(worn_m - at, axis=2)
 
 
-def _report(
-    wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, names: list[str]
-) -> dict[str, Any]:
+def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, names: list[str]) -> dict[str, Any]:
     skeleton = wearer.skeleton
     rms = np.sqrt(np.nanmean(off_mm**2))
     lengths = skeleton.bone_lengths_m()
@@ -172,8 +172,8 @@ def _warnings(wearer: Wearer, motion: Motion, off_mm: Array, names: list[str]) -
     if middle > NOT_THIS_PERSON * typical:
         worst = np.argsort(-np.nan_to_num(np.nanmedian(off_mm, axis=0)))[:3]
         out.append(
-            f"the markers are {middle:.0f} mm from the skeleton, {typical:.0f} mm when it was fitted: this may be another "
-            f"person, or markers were moved (worst: {', '.join(wearer.markers[i] for i in worst)})"
+            f"the markers are {middle:.0f} mm from the skeleton, {typical:.0f} mm when it was fitted: this may be "
+            f"another person, or markers were moved (worst: {', '.join(wearer.markers[i] for i in worst)})"
         )
     for j, name in enumerate(motion.skeleton.joints):
         order = motion.skeleton.turns_about[j]
@@ -185,4 +185,3 @@ def _warnings(wearer: Wearer, motion: Motion, off_mm: Array, names: list[str]) -
         if (beyond > BEYOND_DEG).mean() > OFTEN:
             out.append(f"joint '{name}' is up to {beyond.max():.0f}° beyond its limits: do they suit this motion?")
     return out
-
