@@ -118,7 +118,7 @@ def demo(
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate a capture, reconstruct it with three methods, go the whole way from images, and write a page of it.
+    """Simulate a capture, reconstruct it with three methods, go on from images to a skeleton, and write a page of it.
 
     Example: markerloom demo -o out/demo
     """
@@ -131,6 +131,9 @@ def demo(
         out.print(table)
         say(quiet, "The whole way, from filmed images:")
     for name, text in whole_way_rows(made.whole_way):
+        say(quiet, f"  {name}: {text}")
+    say(quiet, "To a skeleton:")
+    for name, text in made.figure.rows():
         say(quiet, f"  {name}: {text}")
     for name, path in made.files.items():
         say(quiet, f"{name:8} {path}")

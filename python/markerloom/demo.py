@@ -15,8 +15,11 @@ from markerloom.formats import write_points
 from markerloom.from_pixels import FromPixels, from_pixels, rows
 from markerloom.reconstruct import METHODS, Progress, Reconstruction, reconstruct
 from markerloom.simulate import SimulatedTake, make_scene, save, simulate
+from markerloom.to_skeleton import ToSkeleton, to_skeleton
 
 TOLERANCE_MM = 20.0
+LEAST_WALKED = 300
+"""The T-pose and some steps (frames)."""
 MOST_FILMED = 50
 """Frames of the walk that are filmed at most."""
 NAMES = {"optimal": "optimal", "relaxation": "relaxation (2000)", "epipolar": "epipolar matches"}
@@ -31,10 +34,12 @@ class Demo:
     scores: dict[str, dict[str, Any]]
     files: dict[str, Path]
     whole_way: FromPixels
+    figure: ToSkeleton
 
 
 def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Progress | None = None) -> Demo:
-    """Simulate a dancer, reconstruct with all three methods, evaluate; then go the whole way from filmed images.
+    """Simulate a dancer, reconstruct with all three methods, evaluate; then go the whole way from filmed images, and from
+    a T-pose to a skeleton that walks.
 
     Everything is written into a folder.
     """
@@ -61,8 +66,10 @@ def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Prog
     filmed = min(max(frames // 4, 10), MOST_FILMED)
     whole_way = from_pixels(folder / "from_pixels", frames=filmed, seed=seed, progress=progress)
     files["trajectories"] = folder / "from_pixels" / "trajectories.c3d"
-    write_page(files["page"], take, truth, answers, scores, whole_way)
-    return Demo(take, answers, scores, files, whole_way)
+    figure = to_skeleton(folder / "skeleton", frames=max(frames, LEAST_WALKED), seed=seed)
+    files["motion"] = figure.files["motion"]
+    write_page(files["page"], take, truth, answers, scores, whole_way, figure)
+    return Demo(take, answers, scores, files, whole_way, figure)
 
 
 def summary(scores: dict[str, dict[str, Any]]) -> list[list[str]]:
@@ -91,6 +98,7 @@ def write_page(
     answers: dict[str, Reconstruction],
     scores: dict[str, dict[str, Any]],
     whole_way: FromPixels,
+    figure: ToSkeleton,
 ) -> None:
     """Write the page with pictures."""
     best = answers["optimal"]
@@ -107,6 +115,7 @@ def write_page(
         ),
         html_report.section("Result", html_report.table(HEADER, summary(scores))),
         html_report.section("The whole way, from pixels", *_whole_way(whole_way)),
+        html_report.section("To a skeleton", html_report.table(["", ""], figure.rows()), figure.picture()),
         html_report.section(
             "Rig and points",
             html_report.figure(

@@ -2,6 +2,7 @@
 
 use crate::errors::RigError;
 use markerloom_core::skeleton::fit::{Known, fit as engine_fit};
+use markerloom_core::skeleton::kinematics::vector_of;
 use markerloom_core::skeleton::solve::{Orientation, Pin, residuals};
 use markerloom_core::skeleton::take::{Follower, Seen, solve_take};
 use markerloom_core::skeleton::{Figure, Joint, Marker, Pose};
@@ -45,7 +46,7 @@ fn as_arrays<'py>(py: Python<'py>, poses: &[&Pose], joints: usize) -> Poses<'py>
     }
     (
         rows(poses.iter().map(|p| p.root_m)).into_pyarray(py),
-        rows(poses.iter().map(|p| p.root.scaled_axis())).into_pyarray(py),
+        rows(poses.iter().map(|p| vector_of(&p.root))).into_pyarray(py),
         turns.into_pyarray(py),
     )
 }

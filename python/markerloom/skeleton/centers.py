@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from markerloom.skeleton.by_motion import Rigid, rigid, score, sphere
 from markerloom.skeleton.motion import Motion
@@ -15,6 +16,8 @@ from markerloom.skeleton.rules import Centers
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
+LEAST_TURN, LEAST_MOVED_M = 0.15, 0.02
+"""Segments that turn less against each other (rad), or markers that move less (m), show noise, not a centre."""
 NOISE_M = 0.004
 """How far markers are from rigid motion (m): noise and soft tissue."""
 
@@ -45,16 +48,40 @@ def _center(
 ) -> Array | None:
     if above in rigids and joint in rigids:
         one, two = rigids[above], rigids[joint]
+        if _turning_rad(one, two) < LEAST_TURN:
+            return None
         local = score(one, two, noise_m=NOISE_M, guess_m=guess, guess_sd_m=sd)
         first, second = _world(one, local[0]), _world(two, local[1])
         return np.where(np.isfinite(first), first, second)
     if above in rigids:
+        if _moving_m(rigids[above], seen_m[:, of[joint]]) < LEAST_MOVED_M:
+            return None
         local = sphere(rigids[above], seen_m[:, of[joint]], noise_m=NOISE_M, guess_m=guess, guess_sd_m=sd)
         return _world(rigids[above], local)
     if joint in rigids:
+        if _moving_m(rigids[joint], seen_m[:, of[above]]) < LEAST_MOVED_M:
+            return None
         local = sphere(rigids[joint], seen_m[:, of[above]], noise_m=NOISE_M, guess_m=guess, guess_sd_m=sd)
         return _world(rigids[joint], local)
     return None
+
+
+def _turning_rad(one: Rigid, two: Rigid) -> float:
+    """How much two segments turn against each other: rms angle from their mean turn."""
+    relative = np.swapaxes(one.turn, 1, 2) @ two.turn
+    relative = relative[np.isfinite(relative).all(axis=(1, 2))]
+    if len(relative) < 2:
+        return 0.0
+    turns = Rotation.from_matrix(relative)
+    return float(np.sqrt(((turns.mean().inv() * turns).magnitude() ** 2).mean()))
+
+
+def _moving_m(of: Rigid, seen_m: Array) -> float:
+    """How far markers move as a segment sees them: rms distance from where they are on average (m)."""
+    local = np.einsum("fba,fmb->fma", of.turn, seen_m - of.place_m[:, None])
+    with np.errstate(invalid="ignore"):
+        off = local - np.nanmean(local, axis=0)
+    return float(np.sqrt(np.nanmean((off**2).sum(axis=2)))) if np.isfinite(off).any() else 0.0
 
 
 def _world(of: Rigid, local: Array) -> Array:

@@ -29,8 +29,8 @@ STAYS_M = 0.015
 """While it stands, all its places are within this."""
 STANDS_S, FADES_S = 0.12, 0.12
 """It stands at least so long; before and after, the hold fades over so long (s)."""
-HELD_M, LOOSE_M = 1e-4, 0.05
-"""How firmly a standing place is held, and a place whose hold has faded (m)."""
+HELD_M, FADING_M, LOOSE_M = 1e-4, 0.003, 0.05
+"""How firmly a standing place is held, one whose hold begins to fade, and one whose hold has faded (m)."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +92,18 @@ def pins_of(motion: Motion, contacts: list[Contact]) -> list[Pin]:
     places = motion.sites_m()
     names = [s.name for s in motion.skeleton.sites]
     fade = max(1, round(FADES_S * motion.rate_hz))
-    pins: list[Pin] = []
     for contact in contacts:
         if contact.site not in names:
             raise InputError(f"contacts: skeleton '{motion.skeleton.name}' has no place '{contact.site}'")
+        if not motion.first_frame <= contact.start < contact.stop <= motion.first_frame + len(motion):
+            raise InputError(f"contacts: frames {contact.start}:{contact.stop} of '{contact.site}' are not in the take")
+    targets = _targets(motion, contacts, places, names)
+    pins: list[Pin] = []
+    for contact in contacts:
         i = names.index(contact.site)
         site = motion.skeleton.sites[i]
         a, b = contact.start - motion.first_frame, contact.stop - motion.first_frame
-        if not 0 <= a < b <= len(motion):
-            raise InputError(f"contacts: frames {contact.start}:{contact.stop} of '{contact.site}' are not in the take")
-        target = np.median(places[a:b, i], axis=0)
+        target = targets[contact]
         pins += [(f, site.joint, list(site.place_m), target.tolist(), HELD_M) for f in range(a, b)]
         others = [(c.start, c.stop) for c in contacts if c.site == contact.site and c is not contact]
         for edge, step in ((a, -1), (b - 1, 1)):
@@ -113,9 +115,32 @@ def pins_of(motion: Motion, contacts: list[Contact]) -> list[Pin]:
                     break
                 gone = n / fade
                 held = (1.0 - gone) ** 2 * (1.0 + 2.0 * gone)
-                firmly = HELD_M * (LOOSE_M / HELD_M) ** gone
+                firmly = FADING_M * (LOOSE_M / FADING_M) ** gone
                 pins.append((f, site.joint, list(site.place_m), (places[f, i] + held * off).tolist(), firmly))
     return pins
+
+
+def _targets(motion: Motion, contacts: list[Contact], places: Array, names: list[str]) -> dict[Contact, Array]:
+    """Where each standing place is held (m). Two places of one foot that stand at the same time are held as far from
+    each other as the bone between them is long.
+    """
+    first = motion.first_frame
+    targets: dict[Contact, Array] = {}
+    for contact in sorted(contacts, key=lambda c: (c.start - c.stop, c.start, c.site)):
+        i = names.index(contact.site)
+        own = np.median(places[contact.start - first : contact.stop - first, i], axis=0)
+        for other, held in targets.items():
+            start, stop = max(contact.start, other.start), min(contact.stop, other.stop)
+            if other.site[:2] != contact.site[:2] or other.site == contact.site or stop <= start:
+                continue
+            apart = (
+                places[start - first : stop - first, i] - places[start - first : stop - first, names.index(other.site)]
+            )
+            mean = apart.mean(axis=0)
+            own = held + mean * (np.linalg.norm(apart, axis=1).mean() / max(float(np.linalg.norm(mean)), 1e-9))
+            break
+        targets[contact] = own
+    return targets
 
 
 def slides_mm(motion: Motion, contacts: list[Contact]) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 //! From turns to places.
 
 use super::{Joint, Pose};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use std::f64::consts::TAU;
 
 /// A segment in the world.
@@ -101,6 +101,11 @@ pub fn nearest_turn(r: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
     let axis = r / angle;
     let turns = ((axis.dot(to) - angle) / TAU).round();
     axis * (angle + turns * TAU)
+}
+
+/// The rotation vector of a rotation, exact for small ones and sound where rounding has touched the matrix.
+pub fn vector_of(turn: &Rotation3<f64>) -> Vector3<f64> {
+    UnitQuaternion::from_rotation_matrix(turn).scaled_axis()
 }
 
 /// The rotation R that makes the trace of Rᵀ Σ there hereᵀ largest: that turns here onto there (Kabsch 1976).

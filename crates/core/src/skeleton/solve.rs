@@ -4,7 +4,7 @@
 //! that a bad start or a swapped marker does not decide). Every derivative is analytic: a column is a twist, all that a
 //! subtree's markers say of it is one 6 × 6 matrix.
 
-use super::kinematics::{Segment, cross, segments};
+use super::kinematics::{Segment, cross, segments, vector_of};
 use super::normal::{Inverse, Normal};
 use super::{Figure, Joint, Pose};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
@@ -250,7 +250,7 @@ impl Solver {
             cost += 0.5 * off.norm_squared() / (pin.sigma_m * pin.sigma_m);
         }
         for known in evidence.orientations {
-            let off = (all[known.joint].turn * known.target.inverse()).scaled_axis();
+            let off = vector_of(&(all[known.joint].turn * known.target.inverse()));
             cost += 0.5 * off.norm_squared() / (known.sigma_rad * known.sigma_rad);
         }
         for column in &self.columns {
@@ -413,7 +413,7 @@ fn expectations(joints: &[Joint], pose: &Pose, prior: Option<&Prior>, column: Co
             if k < 3 {
                 (pose.root_m[k] - p.pose.root_m[k], p.root_sd_m[k])
             } else {
-                ((pose.root * p.pose.root.inverse()).scaled_axis()[k - 3], p.root_sd_rad)
+                (vector_of(&(pose.root * p.pose.root.inverse()))[k - 3], p.root_sd_rad)
             }
         });
         return [known.filter(|(_, sd)| sd.is_finite()), None, None];
@@ -478,7 +478,7 @@ fn moments(
         add(pin.joint, &at, &off, weight);
     }
     for known in evidence.orientations {
-        let off = (all[known.joint].turn * known.target.inverse()).scaled_axis();
+        let off = vector_of(&(all[known.joint].turn * known.target.inverse()));
         let weight = 1.0 / (known.sigma_rad * known.sigma_rad);
         cost += 0.5 * weight * off.norm_squared();
         for k in 0..3 {

@@ -1,0 +1,250 @@
+"""Skeletons against truth: joint centres, residuals, speed, swaps, gaps, feet, files; beside OpenSim where it is there.
+
+    python benches/skeletons.py [joints real speed swap gap feet files opensim]
+
+Simulated: a range of motion of 41 s at 100 Hz, 53 markers, 1 mm of noise, three body sizes (seeds 0, 1, 2).
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import markerloom as ml
+from markerloom import _core
+from markerloom.points import Points
+from markerloom.skeleton.contacts import Contact, slides_mm
+from markerloom.skeleton.takes import named_markers
+from skeleton_truth import joint_errors_mm, rom
+
+DATA = Path(__file__).resolve().parents[2] / "shared/data"
+HINTS = Path(__file__).resolve().parents[1] / "docs/guides/fullbody-44-hints.toml"
+FRAMES, RATE = 4100, 100.0
+
+
+def points_of(names: list[str], xyz_mm: np.ndarray) -> Points:
+    """Markers by name as points."""
+    frames, markers = xyz_mm.shape[:2]
+    frame, slot = np.divmod(np.arange(frames * markers), markers)
+    label = np.array(names, dtype=str)[slot]
+    return Points.of(
+        frame, slot, xyz_mm.reshape(-1, 3), label=label, rate_hz=RATE, frames=np.arange(frames), source="simulated"
+    )
+
+
+def taken(seed: int) -> tuple[Points, list[str], np.ndarray]:
+    names, xyz_mm, joints, centers_mm = rom(seed=seed, frames=FRAMES)
+    return points_of(names, xyz_mm), joints, centers_mm
+
+
+def rms(errors: dict[str, float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(errors.values())))))
+
+
+def joints() -> None:
+    print("seed  stature_m  joint centres, mm rms (worst joint)   residual / noise   bones constant to, m")
+    for seed in range(3):
+        points, names, centers_mm = taken(seed)
+        solved = ml.solve(points, contacts=False)
+        errors = joint_errors_mm(solved.motion, names, centers_mm)
+        worst = max(errors, key=lambda j: errors[j])
+        places, parents = solved.motion.joints_m(), np.array(solved.motion.skeleton.parents)
+        lengths = np.linalg.norm(places[:, 1:] - places[:, parents[1:]], axis=2)
+        ratio = solved.report["residual_mm"]["rms"] / np.sqrt(3.0)
+        stature = solved.wearer.skeleton.stature_m
+        print(f"{seed}     {stature:.3f}      {rms(errors):.2f} ({worst} {errors[worst]:.2f})   {ratio:.2f}", end="   ")
+        print(f"{np.ptp(lengths, axis=0).max():.1e}")
+
+
+def real() -> None:
+    points = ml.read_points(DATA / "labelling/fullbody-44.c3d")
+    for skeleton in ("hanim-loa1", "hanim-loa2"):
+        started = time.perf_counter()
+        solved = ml.solve(points, skeleton, known=ml.read_hints(HINTS))
+        off = solved.report["residual_mm"]
+        print(f"fullbody-44 {skeleton}: {off['rms']:.2f} mm rms, {off['median']:.2f} median, "
+              f"{len(solved.contacts)} contacts, {time.perf_counter() - started:.1f} s with the fit")  # fmt: skip
+    points = ml.read_points(DATA / "labelling/cmu-85_02.c3d")
+    for skeleton in ("hanim-loa1", "hanim-loa2"):
+        off = ml.solve(points, skeleton).report["residual_mm"]
+        print(f"cmu-85_02 {skeleton}: {off['rms']:.2f} mm rms, {off['median']:.2f} median")
+
+
+def speed() -> None:
+    points, *_ = taken(0)
+    names, xyz_m, _ = named_markers(points)
+    for skeleton in ("hanim-loa1", "hanim-loa2"):
+        wearer = ml.fit_skeleton(names, xyz_m, ml.read_skeleton(skeleton))
+        figure = wearer.figure()
+        worn = np.ascontiguousarray(xyz_m[:, [names.index(m) for m in wearer.markers]])
+        best_live, best_take = np.inf, np.inf
+        for _ in range(3):
+            follower = _core.Follower(figure, 1.0 / RATE)
+            started = time.perf_counter()
+            for frame in worn:
+                follower.push(frame)
+            best_live = min(best_live, time.perf_counter() - started)
+            started = time.perf_counter()
+            figure.solve(worn, 1.0 / RATE, [], [], None)
+            best_take = min(best_take, time.perf_counter() - started)
+        each = 1000.0 / len(worn)
+        print(f"{skeleton}: live {best_live * each:.3f} ms per frame, whole take (both ways, uncertainty) "
+              f"{best_take * each:.3f} ms; one thread")  # fmt: skip
+
+
+def swap() -> None:
+    points, names, centers_mm = taken(1)
+    solved = ml.solve(points, contacts=False)
+    print("pair swapped for 20 frames: joint error within them, mm rms, without and with")
+    for left, right in (("LKNE", "RKNE"), ("LOWR", "ROWR"), ("LTOE", "RTOE"), ("LFHD", "RFHD")):
+        label = points.label.copy()
+        inside = (points.frame >= 1400) & (points.frame < 1420)
+        label[inside & (points.label == left)] = right
+        label[inside & (points.label == right)] = left
+        track = np.unique(label, return_inverse=True)[1].astype(np.int64)
+        again = ml.solve(replace(points, label=label, track=track), solved.wearer, contacts=False)
+        window = slice(1400, 1420)
+        before = joint_errors_mm(solved.motion, names, centers_mm, window)
+        after = joint_errors_mm(again.motion, names, centers_mm, window)
+        joint = max(after, key=lambda j: after[j] / before[j])
+        print(f"  {left}/{right}: {rms(before):.2f} → {rms(after):.2f}; worst joint {joint} "
+              f"{before[joint]:.2f} → {after[joint]:.2f}")  # fmt: skip
+
+
+def gap() -> None:
+    points, *_ = taken(1)
+    solved = ml.solve(points, contacts=False)
+    skeleton = solved.wearer.skeleton
+    wrist, first = skeleton.index("l_radiocarpal"), skeleton.index("l_shoulder")
+    arm = [m for m, j in zip(solved.wearer.markers, solved.wearer.joints, strict=True) if first <= j <= wrist]
+    whole = solved.motion.joints_m()[:, wrist]
+    sharpest = np.linalg.norm(np.diff(whole, 2, axis=0), axis=1).max() * RATE**2
+    print(f"0.5 s without the left arm; the wrist's largest acceleration in the take: {sharpest:.0f} m/s²")
+    for start in (1100, 1250, 1400):
+        gone = (points.frame >= start) & (points.frame < start + 50) & np.isin(points.label, arm)
+        ours = ml.solve(points.keep(~gone), solved.wearer, contacts=False).motion.joints_m()[:, wrist]
+        bend = np.linalg.norm(np.diff(ours, 2, axis=0), axis=1)[start - 5 : start + 60].max() * RATE**2
+        off = np.linalg.norm(ours - whole, axis=1)
+        print(f"  from frame {start}: acceleration {bend:.0f} m/s², off by at most {1000 * off.max():.0f} mm within, "
+              f"{1000 * off[start + 55 :].max():.2f} mm from the 5th frame after")  # fmt: skip
+
+
+def feet() -> None:
+    """Real feet: how far standing places slide before and after, and what it changed elsewhere."""
+    points = ml.read_points(DATA / "labelling/cmu-85_02.c3d")
+    free = ml.solve(points, "hanim-loa2", contacts=False)
+    held = ml.solve(points, free.wearer)
+    contacts: list[Contact] = held.contacts
+    before, after = slides_mm(free.motion, contacts), held.report["contacts"]
+    changed = 1000.0 * np.linalg.norm(held.motion.joints_m() - free.motion.joints_m(), axis=2)
+    print(f"cmu-85_02, {len(contacts)} contacts: slide {max(c['slides_mm'] for c in before):.2f} → "
+          f"{max(c['slides_mm'] for c in after):.2f} mm, sink {max(c['sinks_mm'] for c in before):.2f} → "
+          f"{max(c['sinks_mm'] for c in after):.2f} mm; joints changed by {np.percentile(changed, 99):.1f} mm (99 %), "
+          f"{changed.max():.1f} mm at most")  # fmt: skip
+
+
+def files() -> None:
+    folder = DATA / "asf-amc"
+    amc = ml.read_motion(folder / "171025_Guy_ROM_body_01_blade.amc")
+    bvh = ml.read_motion(folder / "171025_Guy_ROM_body_01_blade.bvh", units="in")
+    print(f"Blade AMC and BVH: joints at most {_apart_mm(amc, bvh):.4f} mm apart")
+    mobu = ml.read_motion(DATA / "bvh/mobu-rom.bvh")
+    picked = replace(bvh, root_m=bvh.root_m[[59, 119]], turns=bvh.turns[[59, 119]], sigma_mm=bvh.sigma_mm[:2])
+    other = replace(mobu, root_m=mobu.root_m[[12, 24]], turns=mobu.turns[[12, 24]], sigma_mm=mobu.sigma_mm[:2])
+    print(f"Blade and MotionBuilder BVH, at moments both hold: {_apart_mm(picked, other):.4f} mm")
+    solved = ml.solve_segments(ml.read_segment_poses(DATA / "mvnx/test_mocap.mvnx"))
+    theirs = ml.read_motion(DATA / "mvnx/test_mocap.bvh")
+    pairs = [
+        ("Pelvis", "Hips"),
+        ("T8", "Chest4"),
+        ("Head", "Head"),
+        ("LeftHand", "LeftWrist"),
+        ("RightFoot", "RightAnkle"),
+    ]
+    off = max(
+        float(np.linalg.norm(solved.joints_m()[1:, solved.skeleton.joints.index(a)]
+                             - theirs.joints_m()[1:, theirs.skeleton.joints.index(b)], axis=1).max())
+        for a, b in pairs
+    )  # fmt: skip
+    print(f"MVNX solved, beside Xsens' BVH: at most {1000 * off:.2f} mm")
+
+
+def _apart_mm(one: ml.Motion, two: ml.Motion) -> float:
+    both = [n for n in one.skeleton.joints if n in two.skeleton.joints]
+    a, b = (m.joints_m()[:, [m.skeleton.joints.index(n) for n in both]] for m in (one, two))
+    return 1000.0 * float(np.linalg.norm(a - b, axis=2).max())
+
+
+def opensim() -> None:
+    """The same model and markers solved by OpenSim's InverseKinematicsTool."""
+    try:
+        osim: Any = import_module("opensim")
+    except ImportError:
+        print("opensim: not installed (pip install opensim)")
+        return
+    points, *_ = taken(0)
+    short = points.select(0, 500)
+    solved = ml.solve(points, contacts=False)
+    wearer = solved.wearer
+    with tempfile.TemporaryDirectory() as folder:
+        model, trc, mot = (Path(folder) / name for name in ("m.osim", "m.trc", "ik.mot"))
+        glued = list(zip(wearer.markers, wearer.joints, wearer.places_m, strict=True))
+        ml.write_motion(solved.motion.select(0, 500), model, markers=glued, preset="opensim")
+        x, y, z = short.xyz_mm.T
+        ml.write_points(replace(short, xyz_mm=np.column_stack([x, z, -y]), up_axis="y"), trc)
+        tool = osim.InverseKinematicsTool()
+        loaded = osim.Model(str(model))
+        loaded.initSystem()
+        tool.setModel(loaded)
+        tool.setMarkerDataFileName(str(trc))
+        tool.setStartTime(0.0)
+        tool.setEndTime(4.99)
+        tool.setOutputMotionFileName(str(mot))
+        tool.set_report_errors(False)
+        started = time.perf_counter()
+        tool.run()
+        theirs_s = time.perf_counter() - started
+        names, xyz_m, _ = named_markers(short)
+        worn = np.ascontiguousarray(xyz_m[:, [names.index(m) for m in wearer.markers]])
+        figure = wearer.figure()
+        started = time.perf_counter()
+        poses, _ = figure.solve(worn, 1.0 / RATE, [], [], None)
+        ours_s = time.perf_counter() - started
+        ours = 1000.0 * np.sqrt(np.nanmean(figure.residuals_m(worn, *poses) ** 2))
+        theirs = _opensim_residual_mm(osim, model, mot, wearer, worn)
+    print(f"OpenSim IK: {theirs_s / 500 * 1000:.2f} ms per frame, residual {theirs:.3f} mm rms; ours "
+          f"{ours_s / 500 * 1000:.3f} ms, {ours:.3f} mm: {theirs_s / ours_s:.0f} times faster")  # fmt: skip
+
+
+def _opensim_residual_mm(osim: Any, model: Path, mot: Path, wearer: ml.Wearer, worn: np.ndarray) -> float:
+    loaded = osim.Model(str(model))
+    state = loaded.initSystem()
+    table = osim.TimeSeriesTable(str(mot))
+    labels = list(table.getColumnLabels())
+    squares = []
+    for f in range(0, table.getNumRows(), 25):
+        row = table.getRowAtIndex(f)
+        for i, name in enumerate(labels):
+            coordinate = loaded.getCoordinateSet().get(name)
+            turns = coordinate.getMotionType() == 1
+            coordinate.setValue(state, np.deg2rad(row[i]) if turns else row[i], False)
+        loaded.realizePosition(state)
+        for m, marker in enumerate(wearer.markers):
+            at = loaded.getMarkerSet().get(marker).getLocationInGround(state)
+            x, y, z = worn[f, m]
+            squares.append(float(np.sum((np.array([at.get(k) for k in range(3)]) - [x, z, -y]) ** 2)))
+    return 1000.0 * float(np.sqrt(np.mean(squares)))
+
+
+ROWS = {r.__name__: r for r in (joints, real, speed, swap, gap, feet, files, opensim)}
+
+if __name__ == "__main__":
+    for row in sys.argv[1:] or list(ROWS):
+        ROWS[row]()
