@@ -24,6 +24,7 @@ VERBS = [
     "label",
     "fill",
     "smooth",
+    "solve",
     "process",
 ]
 

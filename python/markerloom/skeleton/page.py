@@ -13,7 +13,7 @@ from markerloom.skeleton.isb import joint_angles
 from markerloom.skeleton.motion import Motion
 from markerloom.skeleton.takes import Solved
 
-FIGURES = 8
+FIGURES = 6
 WIDTH, LEFT = 760.0, 90.0
 SHOWN = ("hip", "knee", "talocrural", "shoulder", "elbow", "radiocarpal")
 LEFT_COLOR, RIGHT_COLOR = pictures.BLUE, pictures.RED
@@ -57,8 +57,9 @@ def figure_strip(motion: Motion) -> str:
     skeleton = motion.skeleton
     step = WIDTH / FIGURES
     height = 240.0
-    scale = (height - 30.0) / max(float(np.ptp(places[..., 2])), 1e-6)
-    low = float(places[..., 2].min())
+    heights = np.concatenate([places[..., 2].ravel(), sites[..., 2].ravel()])
+    low = float(heights.min())
+    scale = (height - 30.0) / max(float(heights.max()) - low, 1e-6)
     body = []
     for k, frame in enumerate(np.linspace(0, len(motion) - 1, FIGURES).astype(int)):
         middle = places[frame].mean(axis=0)

@@ -18,8 +18,11 @@ const LEAST_TURN: f64 = 2.0;
 const LEAST_ROOT: f64 = 0.5;
 /// How fast the velocity of what is not seen dies away (1/s).
 const DECAY: f64 = 8.0;
-/// Accelerations are told over such steps (s).
+/// What is carried through a gap follows from so much on both sides of it (s).
+const AROUND_S: f64 = 2.0;
+/// Accelerations are told over such steps (s), within which they may be so many times as large.
 const BEND_S: f64 = 0.05;
+const SHARPER: f64 = 2.0;
 /// Turns that differ by less than this are the same motion (rad).
 const ALIKE_RAD: f64 = 0.3;
 /// A component is observed where its variance is below this part of that of rest.
@@ -343,11 +346,11 @@ fn unwrapped<'a>(
     })
 }
 
-/// A series over its gaps: smoothed with accelerations of the size that it shows beyond its noise, and shifted within
-/// each gap so that it meets the samples on both sides.
+/// A series over its gaps: smoothed with accelerations of the size that it shows around each gap beyond its noise, and
+/// shifted within the gap so that it meets the samples on both sides. Outside of gaps the samples themselves.
 fn carried(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f64, f64)> {
-    let (mean, spread) = smoothed(values, variance, step_s, true_acceleration(values, variance, step_s).max(least));
-    let mut out: Vec<(f64, f64)> = mean.iter().zip(&spread).map(|(m, s)| (*m, s.sqrt())).collect();
+    let mut out: Vec<(f64, f64)> = values.iter().zip(variance).map(|(v, s)| (*v, s.sqrt())).collect();
+    let around = (AROUND_S / step_s).round() as usize;
     let mut t = 0;
     while t < values.len() {
         if variance[t].is_finite() {
@@ -355,14 +358,18 @@ fn carried(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f6
             continue;
         }
         let end = (t..values.len()).find(|&e| variance[e].is_finite()).unwrap_or(values.len());
-        let before = t.checked_sub(1).map(|b| values[b] - mean[b]);
-        let after = (end < values.len()).then(|| values[end] - mean[end]);
+        let (low, high) = (t.saturating_sub(around), (end + around).min(values.len()));
+        let (own, spread) = (&values[low..high], &variance[low..high]);
+        let (mean, sd2) = smoothed(own, spread, step_s, true_acceleration(own, spread, step_s).max(least));
+        let before = t.checked_sub(1).map(|b| values[b] - mean[b - low]);
+        let after = (end < values.len()).then(|| values[end] - mean[end - low]);
         for (step, place) in (t..end).enumerate() {
             let share = (step + 1) as f64 / (end - t + 1) as f64;
-            out[place].0 += match (before, after) {
+            let shift = match (before, after) {
                 (Some(b), Some(a)) => b * (1.0 - share) + a * share,
                 (b, a) => b.or(a).unwrap_or(0.0),
             };
+            out[place] = (mean[place - low] + shift, sd2[place - low].sqrt());
         }
         t = end;
     }
@@ -504,20 +511,21 @@ fn without_itself(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> 
     (0..values.len()).map(take_out).collect()
 }
 
-/// Size of the accelerations in a series: that of the sharpest moments, noise included, so that no motion that the data
-/// show is smoothed away.
+/// Size of the accelerations in a series: that of the sharpest moments, so that no motion that the data show is smoothed
+/// away; over steps so long that noise makes little of it.
 fn shown_acceleration(values: &[f64], variance: &[f64], step_s: f64) -> f64 {
+    let lag = ((BEND_S / step_s).round() as usize).max(1);
     let bend = |t: usize| {
-        let known = variance[t - 1..=t + 1].iter().all(|v| v.is_finite());
-        known.then(|| (values[t - 1] - 2.0 * values[t] + values[t + 1]).abs() / (step_s * step_s))
+        let known = [t - lag, t, t + lag].iter().all(|&t| variance[t].is_finite());
+        known.then(|| (values[t - lag] - 2.0 * values[t] + values[t + lag]).abs() / (lag as f64 * step_s).powi(2))
     };
-    let mut bends: Vec<f64> = (1..values.len().saturating_sub(1)).filter_map(bend).collect();
+    let mut bends: Vec<f64> = (lag..values.len().saturating_sub(lag)).filter_map(bend).collect();
     if bends.is_empty() {
         return 0.0;
     }
     let at = ((bends.len() as f64 * SHARPEST) as usize).min(bends.len() - 1);
     let (_, high, _) = bends.select_nth_unstable_by(at, f64::total_cmp);
-    *high
+    SHARPER * *high
 }
 
 /// Mean and variance of every sample given all (Rauch, Tung & Striebel 1965).
