@@ -122,7 +122,7 @@ def test_the_demo_writes_its_files_the_same_every_time(tmp_path: Path) -> None:
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     page = (tmp_path / "a" / "report.html").read_text()
-    assert page.count("<svg") == 5
+    assert page.count("<svg") == 6
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
 

@@ -56,7 +56,7 @@ def test_joint_centres_are_found_from_a_range_of_motion() -> None:
 
 
 def test_an_arm_without_markers_is_carried_and_taken_up_again() -> None:
-    solved, points, xyz_mm, _, _ = solved_rom()
+    solved, points, *_ = solved_rom()
     arm = [
         m
         for m, j in zip(solved.wearer.markers, solved.wearer.joints, strict=True)
@@ -71,7 +71,6 @@ def test_an_arm_without_markers_is_carried_and_taken_up_again() -> None:
     assert np.linalg.norm(ours - whole, axis=1)[630:].max() < 0.002
     assert again.motion.kind[610, wrist] == 1
     assert again.motion.sigma_mm[612, wrist] > 5.0 * again.motion.sigma_mm[590, wrist]
-    del xyz_mm
 
 
 def test_a_swapped_pair_hardly_moves_the_joints() -> None:
@@ -235,6 +234,14 @@ def moving_pair(hinge: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     return np.swapaxes(one, 1, 2), np.swapaxes(two, 1, 2), world.apply(center), axis
 
 
+def _first_axis(one_m: np.ndarray, one: by_motion.Rigid, axis: np.ndarray) -> np.ndarray:
+    """The simulated axis, given in the first segment's own frame, in the axes that `rigid` found for it."""
+    rng = np.random.default_rng(3)
+    shape = rng.uniform(-0.2, 0.2, (2, 4, 3))[0]
+    to_world = (one_m[0] - one_m[0].mean(axis=0)).T @ np.linalg.pinv((shape - shape.mean(axis=0)).T)
+    return one.turn[0].T @ to_world @ axis
+
+
 def test_score_and_sphere_find_a_centre_and_sara_an_axis() -> None:
     one_m, two_m, center_m, _ = moving_pair(hinge=False)
     one, two = by_motion.rigid(one_m), by_motion.rigid(two_m)
@@ -244,12 +251,13 @@ def test_score_and_sphere_find_a_centre_and_sara_an_axis() -> None:
     alone = by_motion.sphere(one, two_m[:, :1])
     assert np.abs(one.place_m + np.einsum("fab,b->fa", one.turn, alone) - center_m).max() < 1e-6
     one_m, two_m, _, axis = moving_pair(hinge=True)
-    one = by_motion.rigid(one_m)
-    direction, _, ratio = by_motion.sara(one, by_motion.rigid(two_m))
-    turned = np.einsum(
-        "fba,fb->fa", one.turn, Rotation.align_vectors(np.eye(3), np.eye(3))[0].apply(np.tile(axis, (80, 1)))
-    )
-    del turned
+    one, two = by_motion.rigid(one_m), by_motion.rigid(two_m)
+    direction, _, ratio = by_motion.sara(one, two)
+    # The same axis from both segments, in every frame; and the one that was simulated.
+    first, second = (np.einsum("fab,b->fa", r.turn, d) for r, d in zip((one, two), direction, strict=True))
+    assert np.abs(np.abs((first * second).sum(axis=1)) - 1.0).max() < 1e-9
+    angle = np.arccos(np.clip(np.abs(direction[0] @ _first_axis(one_m, one, axis)), 0.0, 1.0))
+    assert angle < 1e-6
     assert ratio < 1e-6
     assert np.linalg.norm(direction, axis=1) == pytest.approx([1.0, 1.0])
 
@@ -329,6 +337,22 @@ def test_wrong_input_is_refused_with_reasons(tmp_path: Path) -> None:
     with pytest.raises(MarkerloomError, match="motions are written as"):
         ml.write_motion(solved.motion, tmp_path / "motion.fbx")
     assert not (tmp_path / "motion.fbx").exists()
+
+
+def test_a_project_solves_its_takes_once(tmp_path: Path) -> None:
+    names, xyz_mm, _, _ = rom(seed=2, frames=120, rate_hz=50.0)
+    (tmp_path / "takes").mkdir()
+    replace(points_of(xyz_mm, names), rate_hz=50.0).save(tmp_path / "takes/short.parquet")
+    (tmp_path / "markerloom.toml").write_text(
+        '[settings]\nfill = "none"\nskeleton = "hanim-loa1"\nsolve_to = [".bvh", ".trc"]\n'
+    )
+    row = ml.process(tmp_path)["takes"][0]
+    assert row["ran"] == ["solve"]
+    assert row["skeleton_mm"] < 5.0
+    folder = tmp_path / "results/short"
+    assert {"short.bvh", "short.trc", "skeleton.html"} <= {p.name for p in folder.iterdir()}
+    assert len(ml.read_motion(folder / "short.bvh")) == 120
+    assert ml.process(tmp_path)["takes"][0]["ran"] == []
 
 
 @pytest.mark.slow
