@@ -252,7 +252,7 @@ def test_score_and_sphere_find_a_centre_and_sara_an_axis() -> None:
     assert np.abs(one.place_m + np.einsum("fab,b->fa", one.turn, alone) - center_m).max() < 1e-6
     one_m, two_m, _, axis = moving_pair(hinge=True)
     one, two = by_motion.rigid(one_m), by_motion.rigid(two_m)
-    direction, _, ratio = by_motion.sara(one, two)
+    direction, ratio = by_motion.sara(one, two)
     # The same axis from both segments, in every frame; and the one that was simulated.
     first, second = (np.einsum("fab,b->fa", r.turn, d) for r, d in zip((one, two), direction, strict=True))
     assert np.abs(np.abs((first * second).sum(axis=1)) - 1.0).max() < 1e-9

@@ -71,13 +71,13 @@ def score(
     rows = np.concatenate([one.turn[whole], -two.turn[whole]], axis=2).reshape(-1, 6)
     right = (two.place_m[whole] - one.place_m[whole]).reshape(-1)
     if guess_m is not None:
-        weight = noise_m / guess_sd_m * np.sqrt(1.0)
+        weight = noise_m / guess_sd_m
         rows = np.concatenate([rows, weight * np.eye(6)])
         right = np.concatenate([right, weight * np.concatenate([_local(one, guess_m), _local(two, guess_m)])])
     return np.linalg.lstsq(rows, right, rcond=None)[0].reshape(2, 3)
 
 
-def sara(one: Rigid, two: Rigid) -> tuple[Array, Array, float]:
+def sara(one: Rigid, two: Rigid) -> tuple[Array, float]:
     """Axis of a hinge: direction in both segments' axes (2, 3), and how much less the centre is known along it than
     across (ratio of the two smallest singular values; near 0 for a hinge, near 1 for a ball joint).
     """
@@ -85,7 +85,7 @@ def sara(one: Rigid, two: Rigid) -> tuple[Array, Array, float]:
     rows = np.concatenate([one.turn[whole], -two.turn[whole]], axis=2).reshape(-1, 6)
     _, values, vt = np.linalg.svd(rows, full_matrices=False)
     axis = vt[-1].reshape(2, 3)
-    return axis / np.linalg.norm(axis, axis=1, keepdims=True), axis, float(values[-1] / values[-2])
+    return axis / np.linalg.norm(axis, axis=1, keepdims=True), float(values[-1] / values[-2])
 
 
 def sphere(

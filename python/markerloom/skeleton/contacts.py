@@ -43,7 +43,7 @@ class Contact:
 
 
 def find_contacts(motion: Motion) -> list[Contact]:
-    """Where the skeleton's places of feet stand."""
+    """Where the skeleton's places of feet stand; only in frames whose markers tell where the foot is."""
     places = motion.sites_m()
     out = []
     for i, site in enumerate(motion.skeleton.sites):
@@ -54,7 +54,7 @@ def find_contacts(motion: Motion) -> list[Contact]:
         low = height[:, 2] < np.percentile(height[:, 2], 3) + LOW_M
         out += [
             Contact(site.name, motion.first_frame + a, motion.first_frame + b)
-            for first, last in runs(low & (speed < SLOW_M_PER_S))
+            for first, last in runs(low & (speed < SLOW_M_PER_S) & (motion.kind[:, site.joint] == 0))
             for a, b in _in_place(places[first:last, i, :2], first)
             if b - a >= STANDS_S * motion.rate_hz
         ]
@@ -111,7 +111,7 @@ def pins_of(motion: Motion, contacts: list[Contact]) -> list[Pin]:
             for n in range(1, fade):
                 f = edge + step * n
                 number = f + motion.first_frame
-                if not 0 <= f < len(motion) or any(s <= number < e for s, e in others):
+                if not 0 <= f < len(motion) or motion.kind[f, site.joint] or any(s <= number < e for s, e in others):
                     break
                 gone = n / fade
                 held = (1.0 - gone) ** 2 * (1.0 + 2.0 * gone)

@@ -39,6 +39,8 @@ SMALL_BONE = 0.05
 SMALL_SD = 0.25
 PLACE_SD, UNKNOWN_SD = 0.02, 0.06
 """How well a set gives a marker's place, and a segment alone does; parts of the stature."""
+STATURES_M = (0.4, 2.7)
+"""Nobody is smaller or taller (m)."""
 MIRROR_SD_M = 0.01
 """How alike left and right are (m)."""
 
@@ -96,6 +98,11 @@ def fit_skeleton(
     if not np.isfinite(seen_m).all(axis=2).any():
         raise InputError(f"none of the markers on segments is ever there ({source})")
     stature = _stature_m(names, seen_m, placed, skeleton, known, source)
+    if skeleton.stature_m and not STATURES_M[0] < stature < STATURES_M[1]:
+        raise InputError(
+            f"the markers are those of somebody {stature:.3g} m tall: are the take's lengths really millimetres, and the "
+            f"markers named right? ({source})"
+        )
     body = skeleton.scaled(stature / (skeleton.stature_m or _height(skeleton)))
     places = _first_places(body, placed, stature)
     exact = np.asarray(np.isfinite(placed.place).all(axis=1))
@@ -156,7 +163,7 @@ def stature_m(seen_m: Array, placed: Placed, skeleton: Skeleton) -> float:
     Stretched limbs are as long as in the T-pose, so the longer distances of a take count.
     """
     size = skeleton.stature_m or _height(skeleton)
-    rest = skeleton.places_m() / size
+    rest = (skeleton.places_m() + _ground(skeleton)) / size
     exact = np.asarray(np.isfinite(placed.place).all(axis=1))
     place = np.where(exact[:, None], placed.place, 0.0)
     joints = np.array(placed.joints)

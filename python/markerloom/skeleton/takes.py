@@ -140,8 +140,8 @@ def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, 
     skeleton = wearer.skeleton
     rms = np.sqrt(np.nanmean(off_mm**2))
     lengths = skeleton.bone_lengths_m()
-    with np.errstate(invalid="ignore"):
-        per_marker = np.sqrt(np.nanmean(off_mm**2, axis=0)) if len(off_mm) else np.zeros(0)
+    seen = np.isfinite(off_mm)
+    per_marker = np.sqrt(np.where(seen, off_mm**2, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
     slides = slides_mm(motion, held)
     return {
         "frames": len(motion),
@@ -154,7 +154,9 @@ def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, 
             "median": float(np.nanmedian(off_mm)),
             "p95": float(np.nanpercentile(off_mm, 95)),
         },
-        "residual_mm_per_marker": {m: float(v) for m, v in zip(wearer.markers, per_marker, strict=True)},
+        "residual_mm_per_marker": {
+            m: float(v) for m, v, s in zip(wearer.markers, per_marker, seen.any(axis=0), strict=True) if s
+        },
         "bone_lengths_mm": {j: 1000.0 * float(lengths[i]) for i, j in enumerate(skeleton.joints) if i},
         "contacts": slides,
         "inferred": float(np.mean(motion.kind)),
@@ -170,7 +172,7 @@ def _warnings(wearer: Wearer, motion: Motion, off_mm: Array, names: list[str]) -
     typical = 1000.0 * float(np.sqrt(3.0) * np.median(wearer.sigmas_m))
     middle = float(np.nanmedian(off_mm))
     if middle > NOT_THIS_PERSON * typical:
-        worst = np.argsort(-np.nan_to_num(np.nanmedian(off_mm, axis=0)))[:3]
+        worst = np.argsort(-np.nan_to_num(off_mm).mean(axis=0))[:3]
         out.append(
             f"the markers are {middle:.0f} mm from the skeleton, {typical:.0f} mm when it was fitted: this may be "
             f"another person, or markers were moved (worst: {', '.join(wearer.markers[i] for i in worst)})"

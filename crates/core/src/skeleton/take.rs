@@ -323,9 +323,51 @@ fn bridge(
             }
         }
     }
-    for t in (0..frames.len()).filter(|&t| untold[t]) {
+    bridge_root(step_s, certain, &told, priors, out);
+    for t in (0..frames.len()).filter(|&t| untold[t] || !told[t][0]) {
         let start = priors[t].pose.clone();
         out[t] = settled(solver, figure, &frames[t], &start, &priors[t]);
+    }
+}
+
+/// The root through frames in which nothing at all was seen.
+fn bridge_root(step_s: f64, certain: &[Option<Certainty>], told: &[Vec<bool>], priors: &mut [Prior], out: &[Frame]) {
+    let known = told.iter().filter(|t| t[0]).count();
+    if known == told.len() || known < 2 {
+        return;
+    }
+    let variances = |of: &dyn Fn(&Certainty) -> f64| -> Vec<f64> {
+        let own =
+            |(told, c): (&Vec<bool>, &Option<Certainty>)| c.as_ref().filter(|_| told[0]).map_or(f64::INFINITY, of);
+        told.iter().zip(certain).map(own).collect()
+    };
+    for k in 0..3 {
+        let values: Vec<f64> = out.iter().map(|f| f.pose.root_m[k]).collect();
+        let found = carried(&values, &variances(&|c| c.root_m2[k]), step_s, LEAST_ROOT);
+        for (t, (mean, sd)) in found.into_iter().enumerate().filter(|(t, _)| !told[*t][0]) {
+            priors[t].pose.root_m[k] = mean;
+            priors[t].root_sd_m[k] = sd;
+        }
+    }
+    let mut last: Option<Quaternion<f64>> = None;
+    let mut continued = |(frame, told): (&Frame, &Vec<bool>)| {
+        let q = UnitQuaternion::from_rotation_matrix(&frame.pose.root).into_inner();
+        let q = if last.is_some_and(|last| last.dot(&q) < 0.0) { -q } else { q };
+        last = if told[0] { Some(q) } else { last };
+        q
+    };
+    let turns: Vec<Quaternion<f64>> = out.iter().zip(told).map(&mut continued).collect();
+    let variance = variances(&|c| 0.25 * c.root_rad2.max());
+    let parts: Vec<Vec<(f64, f64)>> = (0..4)
+        .map(|k| {
+            let values: Vec<f64> = turns.iter().map(|q| q.coords[k]).collect();
+            carried(&values, &variance, step_s, 0.5 * LEAST_TURN)
+        })
+        .collect();
+    for t in (0..told.len()).filter(|&t| !told[t][0]) {
+        let q = Quaternion::new(parts[3][t].0, parts[0][t].0, parts[1][t].0, parts[2][t].0);
+        priors[t].pose.root = UnitQuaternion::from_quaternion(q).to_rotation_matrix();
+        priors[t].root_sd_rad = 2.0 * parts.iter().map(|p| p[t].1).fold(0.0, f64::max);
     }
 }
 
