@@ -100,8 +100,8 @@ def fit_skeleton(
     stature = _stature_m(names, seen_m, placed, skeleton, known, source)
     if skeleton.stature_m and not STATURES_M[0] < stature < STATURES_M[1]:
         raise InputError(
-            f"the markers are those of somebody {stature:.3g} m tall: are the take's lengths really millimetres, and the "
-            f"markers named right? ({source})"
+            f"the markers are those of somebody {stature:.3g} m tall: are the take's lengths really millimetres, and "
+            f"the markers named right? ({source})"
         )
     body = skeleton.scaled(stature / (skeleton.stature_m or _height(skeleton)))
     places = _first_places(body, placed, stature)

@@ -141,6 +141,7 @@ def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, 
     rms = np.sqrt(np.nanmean(off_mm**2))
     lengths = skeleton.bone_lengths_m()
     seen = np.isfinite(off_mm)
+    ever = np.asarray(seen.any(axis=0)).tolist()
     per_marker = np.sqrt(np.where(seen, off_mm**2, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
     slides = slides_mm(motion, held)
     return {
@@ -154,9 +155,7 @@ def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, 
             "median": float(np.nanmedian(off_mm)),
             "p95": float(np.nanpercentile(off_mm, 95)),
         },
-        "residual_mm_per_marker": {
-            m: float(v) for m, v, s in zip(wearer.markers, per_marker, seen.any(axis=0), strict=True) if s
-        },
+        "residual_mm_per_marker": {m: float(v) for m, v, s in zip(wearer.markers, per_marker, ever, strict=True) if s},
         "bone_lengths_mm": {j: 1000.0 * float(lengths[i]) for i, j in enumerate(skeleton.joints) if i},
         "contacts": slides,
         "inferred": float(np.mean(motion.kind)),
