@@ -54,11 +54,18 @@ def find_contacts(motion: Motion) -> list[Contact]:
         low = height[:, 2] < np.percentile(height[:, 2], 3) + LOW_M
         out += [
             Contact(site.name, motion.first_frame + a, motion.first_frame + b)
-            for first, last in runs(low & (speed < SLOW_M_PER_S) & (motion.kind[:, site.joint] == 0))
+            for first, last in runs(low & (speed < SLOW_M_PER_S) & _told(motion, site.joint))
             for a, b in _in_place(places[first:last, i, :2], first)
             if b - a >= STANDS_S * motion.rate_hz
         ]
     return sorted(out, key=lambda c: (c.start, c.site))
+
+
+def _told(motion: Motion, joint: int) -> NDArray[np.bool_]:
+    """In which frames markers tell where a segment is; one that never has any is where the one above it is."""
+    while joint > 0 and motion.kind[:, joint].all():
+        joint = motion.skeleton.parents[joint]
+    return np.asarray(motion.kind[:, joint] == 0)
 
 
 def _in_place(flat: Array, first: int) -> list[tuple[int, int]]:
@@ -103,7 +110,7 @@ def pins_of(motion: Motion, contacts: list[Contact]) -> list[Pin]:
         i = names.index(contact.site)
         site = motion.skeleton.sites[i]
         a, b = contact.start - motion.first_frame, contact.stop - motion.first_frame
-        target = targets[contact]
+        target, told = targets[contact], _told(motion, site.joint)
         pins += [(f, site.joint, list(site.place_m), target.tolist(), HELD_M) for f in range(a, b)]
         others = [(c.start, c.stop) for c in contacts if c.site == contact.site and c is not contact]
         for edge, step in ((a, -1), (b - 1, 1)):
@@ -111,7 +118,7 @@ def pins_of(motion: Motion, contacts: list[Contact]) -> list[Pin]:
             for n in range(1, fade):
                 f = edge + step * n
                 number = f + motion.first_frame
-                if not 0 <= f < len(motion) or motion.kind[f, site.joint] or any(s <= number < e for s, e in others):
+                if not 0 <= f < len(motion) or not told[f] or any(s <= number < e for s, e in others):
                     break
                 gone = n / fade
                 held = (1.0 - gone) ** 2 * (1.0 + 2.0 * gone)
