@@ -1,12 +1,13 @@
 """Skeletons against truth: joint centres, residuals, speed, swaps, gaps, feet, files; beside OpenSim where it is there.
 
-    python benches/skeletons.py [joints real speed swap gap feet files opensim]
+    python benches/skeletons.py [joints real speed swap gap feet files glb opensim]
 
 Simulated: a range of motion of 41 s at 100 Hz, 53 markers, 1 mm of noise, three body sizes (seeds 0, 1, 2).
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 import time
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import markerloom as ml
 from markerloom import _core
@@ -81,7 +83,9 @@ def speed() -> None:
     points, *_ = taken(0)
     names, xyz_m, _ = named_markers(points)
     for skeleton in ("hanim-loa1", "hanim-loa2"):
+        started = time.perf_counter()
         wearer = ml.fit_skeleton(names, xyz_m, ml.read_skeleton(skeleton))
+        print(f"{skeleton}: fitted in {time.perf_counter() - started:.1f} s, all cores")
         figure = wearer.figure()
         worn = np.ascontiguousarray(xyz_m[:, [names.index(m) for m in wearer.markers]])
         best_live, best_take = np.inf, np.inf
@@ -159,21 +163,53 @@ def files() -> None:
     picked = replace(bvh, root_m=bvh.root_m[[59, 119]], turns=bvh.turns[[59, 119]], sigma_mm=bvh.sigma_mm[:2])
     other = replace(mobu, root_m=mobu.root_m[[12, 24]], turns=mobu.turns[[12, 24]], sigma_mm=mobu.sigma_mm[:2])
     print(f"Blade and MotionBuilder BVH, at moments both hold: {_apart_mm(picked, other):.4f} mm")
+    cmu = ml.read_motion(folder / "01_01.amc").joints_m()
+    same = ml.read_motion(folder / "01_01.bvh", units=str(0.0254 / 0.45)).joints_m()[1:]
+    frames = min(len(cmu), len(same))
+    off = np.linalg.norm(cmu[:frames, :14] - same[:frames, :14], axis=2)
+    print(f"CMU 01 AMC and BVH, legs and spine: {1000 * off.max():.4f} mm")
+    _inertial()
+
+
+def _inertial() -> None:
     solved = ml.solve_segments(ml.read_segment_poses(DATA / "mvnx/test_mocap.mvnx"))
     theirs = ml.read_motion(DATA / "mvnx/test_mocap.bvh")
-    pairs = [
-        ("Pelvis", "Hips"),
-        ("T8", "Chest4"),
-        ("Head", "Head"),
-        ("LeftHand", "LeftWrist"),
-        ("RightFoot", "RightAnkle"),
-    ]
-    off = max(
-        float(np.linalg.norm(solved.joints_m()[1:, solved.skeleton.joints.index(a)]
-                             - theirs.joints_m()[1:, theirs.skeleton.joints.index(b)], axis=1).max())
-        for a, b in pairs
-    )  # fmt: skip
-    print(f"MVNX solved, beside Xsens' BVH: at most {1000 * off:.2f} mm")
+    # Both list the same joints from the pelvis on, but for the order of the sides.
+    same = {"UpperArm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist", "Shoulder": "Collar", "UpperLeg": "Hip"}
+    same |= {"LowerLeg": "Knee", "Foot": "Ankle", "Toe": "Toe"}
+    pairs = [(f"{side}{a}", f"{side}{b}") for side in ("Left", "Right") for a, b in same.items()]
+    pairs += [("Pelvis", "Hips"), ("L5", "Chest"), ("L3", "Chest2"), ("T12", "Chest3"), ("T8", "Chest4")]
+    pairs += [("Neck", "Neck"), ("Head", "Head")]
+    ours = [solved.skeleton.joints.index(a) for a, _ in pairs]
+    other = [theirs.skeleton.joints.index(b) for _, b in pairs]
+    (turn, place), (their_turn, their_place) = solved.segments(), theirs.segments()
+    off = np.linalg.norm(place[1:, ours] - their_place[1:, other], axis=2)
+    between = np.swapaxes(turn[1:, ours], 2, 3) @ their_turn[1:, other]
+    angle = np.rad2deg(Rotation.from_matrix(between.reshape(-1, 3, 3)).magnitude())
+    print(f"MVNX solved, beside Xsens' BVH: at most {1000 * off.max():.2f} mm and {angle.max():.2f} deg")
+
+
+def glb() -> None:
+    """A motion as GLB and its joints as JSON, for `node glb_in_three.mjs` (npm install three), and as USD here."""
+    points, *_ = taken(0)
+    motion = ml.solve(points, contacts=False).motion.select(0, 500)
+    folder = Path("out/glb")
+    folder.mkdir(parents=True, exist_ok=True)
+    ml.write_motion(motion, folder / "motion.glb")
+    ml.write_motion(motion, folder / "motion.usda")
+    x, y, z = motion.joints_m()[250].T
+    content = {"seconds": 250 / RATE, "joints": list(motion.skeleton.joints)}
+    content["places_m"] = np.column_stack([x, z, -y]).tolist()
+    (folder / "motion.json").write_text(json.dumps(content))
+    usd, skel = import_module("pxr.Usd"), import_module("pxr.UsdSkel")
+    stage: Any = usd.Stage.Open(str(folder / "motion.usda"))
+    cache: Any = skel.Cache()
+    cache.Populate(skel.Root(stage.GetDefaultPrim()), usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(skel.Skeleton(stage.GetPrimAtPath("/Figure/Skeleton")))
+    found = np.array([m.ExtractTranslation() for m in query.ComputeJointSkelTransforms(usd.TimeCode(250))])
+    off = 1000.0 * np.linalg.norm(found - motion.joints_m()[250], axis=1).max()
+    print(f"USD in usd-core: joints at most {off:.5f} mm off")
+    print(f"then: cd {folder}; cp ../../benches/glb_in_three.mjs .; npm install three; node glb_in_three.mjs")
 
 
 def _apart_mm(one: ml.Motion, two: ml.Motion) -> float:
@@ -252,7 +288,7 @@ def _opensim_residual_mm(osim: Any, model: Path, mot: Path, wearer: ml.Wearer, w
     return 1000.0 * float(np.sqrt(np.mean(squares)))
 
 
-ROWS = {r.__name__: r for r in (joints, real, speed, swap, gap, feet, files, opensim)}
+ROWS = {r.__name__: r for r in (joints, real, speed, swap, gap, feet, files, glb, opensim)}
 
 if __name__ == "__main__":
     for row in sys.argv[1:] or list(ROWS):

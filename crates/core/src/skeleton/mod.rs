@@ -5,9 +5,11 @@
 //! rotation), or, as a ball, by a rotation vector (Grassia 1998); components can be locked, limited, or drawn to rest. Normal equations are summed over the tree of joints and solved with the tree's sparsity (Featherstone 2008,
 //! sections 6.2 and 6.5).
 
+pub mod certainty;
 pub mod fit;
 pub mod kinematics;
 pub mod normal;
+pub mod series;
 pub mod solve;
 pub mod take;
 

@@ -5,10 +5,12 @@
 //! Rauch–Tung–Striebel smoother per component, with the take's own accelerations as noise, and the frame's part taken
 //! out again. Where the markers say much, this changes little; where they are gone, it is all there is.
 
+use super::certainty::Certainty;
 use super::kinematics::{best_turn, segments, vector_of};
-use super::solve::{Certainty, Evidence, Orientation, Pin, Prior, Solved, Solver};
+use super::series::{carried, data_alone, without_itself};
+use super::solve::{Evidence, Orientation, Pin, Prior, Solved, Solver};
 use super::{Figure, Pose};
-use nalgebra::{Matrix2, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 /// Largest acceleration that bodies have and live following expects: of turns (rad/s²) and of the root (m/s²).
 const TURN_ACCELERATION: f64 = 300.0;
@@ -18,20 +20,11 @@ const LEAST_TURN: f64 = 2.0;
 const LEAST_ROOT: f64 = 0.5;
 /// How fast the velocity of what is not seen dies away (1/s).
 const DECAY: f64 = 8.0;
-/// What is carried through a gap follows from so much on both sides of it (s).
-const AROUND_S: f64 = 2.0;
-/// Accelerations are told over such steps (s), within which they may be so many times as large.
-const BEND_S: f64 = 0.05;
-const SHARPER: f64 = 2.0;
 /// Turns that differ by less than this are the same motion (rad).
 const ALIKE_RAD: f64 = 0.3;
-/// A component is observed where its variance is below this part of that of rest.
-const OBSERVED: f64 = 0.2;
 /// A marker this far from its place (in its sigmas, and at least so much, m) does not follow the pose.
 const LOST_SIGMAS: f64 = 10.0;
 const LOST_M: f64 = 0.03;
-/// This quantile of a series' accelerations is the size that smoothing expects.
-const SHARPEST: f64 = 0.99;
 
 /// Everything observed in one frame.
 #[derive(Clone, Debug, Default)]
@@ -388,50 +381,6 @@ fn unwrapped<'a>(
     })
 }
 
-/// A series over its gaps: smoothed with accelerations of the size that it shows around each gap beyond its noise, and
-/// shifted within the gap so that it meets the samples on both sides. Outside of gaps the samples themselves.
-fn carried(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f64, f64)> {
-    let mut out: Vec<(f64, f64)> = values.iter().zip(variance).map(|(v, s)| (*v, s.sqrt())).collect();
-    let around = (AROUND_S / step_s).round() as usize;
-    let mut t = 0;
-    while t < values.len() {
-        if variance[t].is_finite() {
-            t += 1;
-            continue;
-        }
-        let end = (t..values.len()).find(|&e| variance[e].is_finite()).unwrap_or(values.len());
-        let (low, high) = (t.saturating_sub(around), (end + around).min(values.len()));
-        let (own, spread) = (&values[low..high], &variance[low..high]);
-        let (mean, sd2) = smoothed(own, spread, step_s, true_acceleration(own, spread, step_s).max(least));
-        let before = t.checked_sub(1).map(|b| values[b] - mean[b - low]);
-        let after = (end < values.len()).then(|| values[end] - mean[end - low]);
-        for (step, place) in (t..end).enumerate() {
-            let share = (step + 1) as f64 / (end - t + 1) as f64;
-            let shift = match (before, after) {
-                (Some(b), Some(a)) => b * (1.0 - share) + a * share,
-                (b, a) => b.or(a).unwrap_or(0.0),
-            };
-            out[place] = (mean[place - low] + shift, sd2[place - low].sqrt());
-        }
-        t = end;
-    }
-    out
-}
-
-/// Size of the accelerations in a series beyond what its noise makes: over steps so long that noise makes little.
-fn true_acceleration(values: &[f64], variance: &[f64], step_s: f64) -> f64 {
-    let lag = ((BEND_S / step_s).round() as usize).max(1);
-    let (mut sum, mut count) = (0.0, 0usize);
-    for t in lag..values.len().saturating_sub(lag) {
-        let noise = variance[t - lag] + 4.0 * variance[t] + variance[t + lag];
-        if noise.is_finite() {
-            sum += (values[t - lag] - 2.0 * values[t] + values[t + lag]).powi(2) - noise;
-            count += 1;
-        }
-    }
-    if count == 0 { 0.0 } else { (f64::max(sum, 0.0) / count as f64).sqrt() / (lag as f64 * step_s).powi(2) }
-}
-
 fn followed(figure: &Figure, step_s: f64, frames: &[Seen], also: &[usize]) -> Vec<Pose> {
     let mut follower = Follower::new(figure.clone(), step_s, also.iter().copied());
     let found: Vec<Option<Pose>> = frames.iter().map(|f| follower.push(f).map(|s| s.pose)).collect();
@@ -520,96 +469,6 @@ fn root_turns(step_s: f64, poses: &[Pose], certain: &[Option<Certainty>], priors
         prior.pose.root = mean.to_rotation_matrix();
         prior.root_sd_rad = sd;
     }
-}
-
-/// Variance that the data alone give, where a prior of variance `rest` was in it; infinite where they say little.
-fn data_alone(variance: f64, rest: f64) -> f64 {
-    if variance > OBSERVED * rest || variance.is_infinite() {
-        return f64::INFINITY;
-    }
-    if rest.is_infinite() { variance } else { 1.0 / (1.0 / variance - 1.0 / rest) }
-}
-
-/// For every sample, what the others say: mean and standard deviation (infinite where they say nothing).
-///
-/// The state is value and velocity, moved by white acceleration of the size that the series itself shows.
-fn without_itself(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f64, f64)> {
-    let known = variance.iter().filter(|v| v.is_finite()).count();
-    if known < 2 {
-        return values.iter().map(|&v| (v, f64::INFINITY)).collect();
-    }
-    let acceleration = shown_acceleration(values, variance, step_s).max(least);
-    let (mean, spread) = smoothed(values, variance, step_s, acceleration);
-    let take_out = |t: usize| {
-        let share = spread[t] / variance[t];
-        if variance[t].is_infinite() {
-            (mean[t], spread[t].sqrt())
-        } else if share > 0.999 {
-            (values[t], f64::INFINITY)
-        } else {
-            ((mean[t] - share * values[t]) / (1.0 - share), (spread[t] / (1.0 - share)).sqrt())
-        }
-    };
-    (0..values.len()).map(take_out).collect()
-}
-
-/// Size of the accelerations in a series: that of the sharpest moments, so that no motion that the data show is smoothed
-/// away; over steps so long that noise makes little of it.
-fn shown_acceleration(values: &[f64], variance: &[f64], step_s: f64) -> f64 {
-    let lag = ((BEND_S / step_s).round() as usize).max(1);
-    let bend = |t: usize| {
-        let known = [t - lag, t, t + lag].iter().all(|&t| variance[t].is_finite());
-        known.then(|| (values[t - lag] - 2.0 * values[t] + values[t + lag]).abs() / (lag as f64 * step_s).powi(2))
-    };
-    let mut bends: Vec<f64> = (lag..values.len().saturating_sub(lag)).filter_map(bend).collect();
-    if bends.is_empty() {
-        return 0.0;
-    }
-    let at = ((bends.len() as f64 * SHARPEST) as usize).min(bends.len() - 1);
-    let (_, high, _) = bends.select_nth_unstable_by(at, f64::total_cmp);
-    SHARPER * *high
-}
-
-/// Mean and variance of every sample given all (Rauch, Tung & Striebel 1965).
-fn smoothed(values: &[f64], variance: &[f64], dt: f64, acceleration: f64) -> (Vec<f64>, Vec<f64>) {
-    let n = values.len();
-    let first = variance.iter().position(|v| v.is_finite()).unwrap_or(0);
-    let go = Matrix2::new(1.0, dt, 0.0, 1.0);
-    let noise = Matrix2::new(dt.powi(4) / 4.0, dt.powi(3) / 2.0, dt.powi(3) / 2.0, dt * dt) * acceleration.powi(2);
-    let velocity = acceleration * 0.2;
-    let mut x = Vector2::new(values[first], 0.0);
-    let mut p = Matrix2::new(1e2, 0.0, 0.0, velocity * velocity + 1e-6);
-    let (mut filtered, mut predicted) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    for t in 0..n {
-        if t > 0 {
-            x = go * x;
-            p = go * p * go.transpose() + noise;
-        }
-        predicted.push((x, p));
-        if variance[t].is_finite() {
-            let total = p[(0, 0)] + variance[t];
-            let gain = p.column(0) / total;
-            x += gain * (values[t] - x[0]);
-            let row = p.row(0).into_owned();
-            p -= gain * row;
-            p = (p + p.transpose()) * 0.5;
-        }
-        filtered.push((x, p));
-    }
-    let (mut mean, mut spread) = (vec![0.0; n], vec![0.0; n]);
-    let (mut later_x, mut later_p) = filtered[n - 1];
-    for t in (0..n).rev() {
-        if t + 1 < n {
-            let (x, p) = filtered[t];
-            let (ahead_x, ahead_p) = predicted[t + 1];
-            let back = p * go.transpose() * ahead_p.try_inverse().unwrap_or_else(Matrix2::zeros);
-            later_x = x + back * (later_x - ahead_x);
-            later_p = p + back * (later_p - ahead_p) * back.transpose();
-        }
-        mean[t] = later_x[0];
-        spread[t] = later_p[(0, 0)].max(1e-18);
-    }
-    (mean, spread)
 }
 
 #[cfg(test)]
