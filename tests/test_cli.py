@@ -23,6 +23,7 @@ VERBS = [
     "leds",
     "label",
     "fill",
+    "mend",
     "smooth",
     "solve",
     "process",

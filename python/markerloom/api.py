@@ -38,6 +38,7 @@ from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
 from markerloom.knock import knock
 from markerloom.labelling import Checked, Labelled, Labeller, check_labels, label, repair_labels
+from markerloom.mending import EditList, Mended, edits_path, mend, read_edits, without_excluded, write_edits
 from markerloom.observations import Observations
 from markerloom.points import Points
 from markerloom.project import Project, process, read_project
@@ -110,6 +111,7 @@ __all__ = [
     "Coverage",
     "Demo",
     "Distortion",
+    "EditList",
     "Explanation",
     "Filled",
     "GreyBlob",
@@ -119,6 +121,7 @@ __all__ = [
     "Lens",
     "MarkerSet",
     "Mask",
+    "Mended",
     "Motion",
     "Observations",
     "Points",
@@ -163,6 +166,7 @@ __all__ = [
     "detect_markers",
     "detect_x2d",
     "detected",
+    "edits_path",
     "evaluate",
     "explain",
     "fill",
@@ -181,12 +185,14 @@ __all__ = [
     "leds",
     "make_scene",
     "marker_sets",
+    "mend",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",
     "process",
     "read_board",
     "read_calibration",
+    "read_edits",
     "read_grey_blobs",
     "read_hints",
     "read_marker_set",
@@ -223,7 +229,9 @@ __all__ = [
     "truth_from_observations",
     "truth_without_views",
     "two_rays",
+    "without_excluded",
     "write_calibration",
+    "write_edits",
     "write_marker_set",
     "write_motion",
     "write_points",

@@ -38,6 +38,7 @@ from markerloom.formats import table_file
 from markerloom.from_pixels import rows as whole_way_rows
 from markerloom.inspect import inspect as run_inspect
 from markerloom.labelling.cli import frame_range, label, subject_app
+from markerloom.mending.cli import mend
 from markerloom.observations import Observations
 from markerloom.project.cli import process
 from markerloom.reconstruct import Progress
@@ -57,7 +58,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
 app.add_typer(subject_app, name="subject")
 app.add_typer(rigid_app, name="rigid")
-for verb in (sync, label, fill, smooth, solve, process):
+for verb in (sync, label, fill, smooth, mend, solve, process):
     app.command()(verb)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)

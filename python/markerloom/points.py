@@ -95,17 +95,15 @@ class Points:
 
         Labelled tracks keep their label; the others are called ``*1``, ``*2``, … in order of track.
         """
-        tracks = np.unique(self.track)
-        column_of = {int(t): i for i, t in enumerate(tracks)}
+        _, first_row, column = np.unique(self.track, return_index=True, return_inverse=True)
         names, unnamed = [], 0
-        first_row = {int(t): int(r) for r, t in reversed(list(enumerate(self.track)))}
-        for t in tracks:
-            label = str(self.label[first_row[int(t)]])
+        for row in first_row.tolist():
+            label = str(self.label[row])
             if not label:
                 unnamed += 1
                 label = f"*{unnamed}"
             names.append(label)
-        return names, np.array([column_of[int(t)] for t in self.track], np.int64)
+        return names, column.astype(np.int64)
 
     def save(self, path: str | Path) -> None:
         """Write to .c3d, .trc, .parquet or .csv."""

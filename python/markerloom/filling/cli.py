@@ -12,6 +12,7 @@ from markerloom import report as reports
 from markerloom.filling.methods import METHODS
 from markerloom.filling.takes import LONGEST_S
 from markerloom.filling.takes import fill as run_fill
+from markerloom.labelling.cli import frame_range
 from markerloom.points import Points
 from markerloom.smoothing import AVERAGE_S, CUTOFF_HZ
 from markerloom.smoothing import METHODS as SMOOTHERS
@@ -31,6 +32,7 @@ def fill(
     longest_s: Annotated[float, typer.Option("--longest-s", help="Longer gaps stay.")] = LONGEST_S,
     markers: Annotated[str | None, typer.Option(help="Only these, with commas between.")] = None,
     predicted: Annotated[bool, typer.Option("--predicted", help="Fill anew what a tracker carried.")] = False,
+    frames: Annotated[str | None, typer.Option("--frames", help="Only gaps that meet these.", metavar="A:B")] = None,
     rate_hz: Rate = None,
     report: ReportFile = None,
     quiet: Quiet = False,
@@ -42,7 +44,15 @@ def fill(
     options = {k: v for k, v in locals().items() if k not in ("report", "quiet")}
     wanted = None if markers is None else markers.split(",")
     points = _read(take, output)
-    filled = run_fill(points, method=method, longest_s=longest_s, rate_hz=rate_hz, markers=wanted, predicted=predicted)
+    filled = run_fill(
+        points,
+        method=method,
+        longest_s=longest_s,
+        rate_hz=rate_hz,
+        markers=wanted,
+        predicted=predicted,
+        frames=frame_range(frames),
+    )
     result = filled.report
     _finish(filled, output, [take], options, result, report)
     if not quiet:

@@ -51,6 +51,7 @@ def fill(
     rate_hz: float | None = None,
     markers: list[str] | None = None,
     predicted: bool = False,
+    frames: tuple[int | None, int | None] | None = None,
     progress: Progress | None = None,
 ) -> Filled:
     """Fill the gaps of a take.
@@ -58,7 +59,8 @@ def fill(
     ``method``: ``auto`` mixes the others as would have been best on stretches like the gap, in that marker's own
     neighbourhood; or one of constant, linear, cubic, quintic, pattern, rigid, links, regression, cyclic. Gaps longer
     than ``longest_s`` stay, as do beginnings and ends; nothing is held or extrapolated unless ``constant`` is asked
-    for. ``markers``: only these. ``predicted``: fill anew what a tracker carried. Filled samples are of kind ``filled``
+    for. ``markers``: only these. ``predicted``: fill anew what a tracker carried.
+    ``frames``: only gaps that meet these (first, one past the last). Filled samples are of kind ``filled``
     with their ``sigma_mm``. Raises ``InputError`` for an unknown method or marker, or without a frame rate.
     """
     clock = time.perf_counter()
@@ -72,7 +74,7 @@ def fill(
         points = points.keep(points.kind != PREDICTED)
     take = Trajectories.of(points)
     slots = _slots(take, markers)
-    holes = [hole for slot in slots for hole in _holes(take, slot)]
+    holes = [hole for slot in slots for hole in _holes(take, slot) if _meets(take, hole, frames)]
     longest = round(longest_s * rate)
     todo = [hole for hole in holes if hole.last - hole.first <= longest]
     xyz_mm, sigma_mm, kind = take.xyz_mm.copy(), take.sigma_mm.copy(), take.kind.copy()
@@ -121,6 +123,13 @@ def _holes(take: Trajectories, slot: int) -> list[_Hole]:
     seen = np.flatnonzero(take.present[:, slot])
     jumps = np.flatnonzero(np.diff(seen) > 1)
     return [_Hole(slot, int(seen[j]) + 1, int(seen[j + 1])) for j in jumps]
+
+
+def _meets(take: Trajectories, hole: _Hole, frames: tuple[int | None, int | None] | None) -> bool:
+    """Whether a gap lies in frames that are wanted, or reaches into them."""
+    start, stop = frames or (None, None)
+    first, last = int(take.frames[hole.first]), int(take.frames[hole.last - 1])
+    return (start is None or last >= start) and (stop is None or first < stop)
 
 
 def _described(take: Trajectories, hole: _Hole) -> dict[str, Any]:

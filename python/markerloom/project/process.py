@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,19 @@ import tomlkit
 from markerloom import formats
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.filling import fill
+from markerloom.formats import table_file
 from markerloom.formats.files import write_text
 from markerloom.labelling import label
+from markerloom.mending import EditList, edits_path, mend, read_edits, without_excluded, write_edits
+from markerloom.mending.edits import ENDING
+from markerloom.mending.feet import marked
+from markerloom.observations import Observations
 from markerloom.points import Points
 from markerloom.project.page import save_quality, save_take_page
 from markerloom.project.settings import Project, TakeSettings, read_project
 from markerloom.project.stages import Stages, key_of
 from markerloom.skeleton import read_hints, read_wearer, solve, write_motion
+from markerloom.skeleton.contacts import find_contacts
 from markerloom.skeleton.page import save_motion_page
 from markerloom.skeleton.wearer import has_markers
 from markerloom.smoothing import smooth
@@ -27,7 +33,9 @@ from markerloom.subjects import read_marker_set, read_subject
 from markerloom.track import track
 
 RESULTS = "results"
-VERSIONS = {"track": 1, "label": 1, "fill": 1, "smooth": 1, "solve": 1}
+ASSIGNMENTS = "assignments.parquet"
+"""Which centroid is whose: beside the tracked take, for the studio."""
+VERSIONS = {"track": 2, "label": 1, "fill": 1, "smooth": 1, "mend": 1, "solve": 2}
 """Raised when a stage gives other results for the same input: what was computed before is then computed again."""
 Say = Callable[[str], None]
 
@@ -72,26 +80,23 @@ def _chosen(project: Project, takes: list[str] | None) -> list[TakeSettings]:
 
 def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
     """One take through all stages."""
-    stages = Stages(project.folder / RESULTS / settings.name)
-    given = (settings.file, settings.calibration, settings.hints, settings.fit_from, *settings.subjects)
-    missing = [p for p in given if p and not Path(p).is_file()]
-    if missing:
-        raise InputError(f"there is no file {missing[0]} (take '{settings.name}')")
-    key, reports = "", {}
-    points, key, reports["track"] = _tracked(stages, settings)
-    for stage, options, run in _stages(settings):
-        key = key_of(key, options, VERSIONS[stage])
-        points, reports[stage] = stages.points(stage, key, lambda run=run, points=points: run(points))
+    made = automatic(project, settings)
+    stages, reports, edits = made.stages, made.reports, made.edits
+    points, key = made.points, made.key
+    if edits.of_points:
+        key = key_of(key, edits.plain(), VERSIONS["mend"])
+        points, reports["mend"] = stages.points("mend", key, lambda: _mended(made.points, edits))
     exported = []
     for kind in settings.export:
-        target = stages.folder / f"{settings.name}{kind}"
-        if stages.ran or not target.is_file():
+        target, note = stages.folder / f"{settings.name}{kind}", stages.folder / f".{settings.name}{kind}.key"
+        if not target.is_file() or not note.is_file() or note.read_text("utf-8") != key:
             formats.write_points(points, target)
+            write_text(note, key)
         exported.append(target.name)
     if settings.skeleton:
-        reports["solve"] = _solve(stages, settings, points, key)
+        reports["solve"] = _solve(stages, settings, points, key, edits)
         exported += [f"{settings.name}{kind}" for kind in settings.solve_to]
-    _snapshot(stages.folder, settings)
+    _snapshot(stages.folder, settings, edits)
     save_take_page(stages.folder / "report.html", settings, points, reports)
     fills = reports.get("fill", {})
     named = reports.get("label", {})
@@ -100,6 +105,7 @@ def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
         "take": settings.name,
         "frames": len(points.frames),
         "ran": stages.ran,
+        "edits": len(edits),
         "named": named.get("completeness"),
         "gaps": fills.get("gaps", 0),
         "filled": len(fills.get("filled", [])),
@@ -111,11 +117,48 @@ def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
     }
 
 
-def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Automatic:
+    """A take as it comes out of the stages that need nobody, before its edits; ``edits``: those it has."""
+
+    points: Points
+    key: str
+    reports: dict[str, dict[str, Any]]
+    stages: Stages
+    edits: EditList
+
+
+def automatic(project: Project, settings: TakeSettings) -> Automatic:
+    """Track, name, fill and smooth a take as its settings say; what did not change is read from disk.
+
+    Centroids that its edits exclude are left out; its other edits come after, in ``process``.
+    """
+    given = (settings.file, settings.calibration, settings.hints, settings.fit_from, *settings.subjects)
+    missing = [p for p in given if p and not Path(p).is_file()]
+    if missing:
+        raise InputError(f"there is no file {missing[0]} (take '{settings.name}')")
+    stages = Stages(project.folder / RESULTS / settings.name)
+    listed = edits_path(settings.file)
+    edits = read_edits(listed) if listed.is_file() else EditList()
+    reports: dict[str, dict[str, Any]] = {}
+    points, key, reports["track"] = _tracked(stages, settings, edits)
+    for stage, options, run in _stages(settings):
+        key = key_of(key, options, VERSIONS[stage])
+        points, reports[stage] = stages.points(stage, key, lambda run=run, points=points: run(points))
+    return Automatic(points, key, reports, stages, edits)
+
+
+def _mended(points: Points, edits: EditList) -> tuple[Points, dict[str, Any]]:
+    made = mend(points, edits)
+    return made, made.report
+
+
+def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str, edits: EditList) -> dict[str, Any]:
     """A skeleton under the take's markers: its files, and a page of its own."""
     names = (settings.skeleton, settings.hints, settings.fit_from)
     made_of = [key_of(Path(n)) if n and Path(n).is_file() else n for n in names]
     page = stages.folder / "skeleton.html"
+    marks = [e.model_dump() for e in edits.of_contacts]
     targets = [stages.folder / f"{settings.name}{kind}" for kind in settings.solve_to]
 
     def run() -> dict[str, Any]:
@@ -127,6 +170,7 @@ def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str) -> 
             read_wearer(body) if has_markers(body) else body,
             known=known,
             fit_from=formats.read_points(settings.fit_from) if settings.fit_from else None,
+            contacts=lambda motion: marked(find_contacts(motion), edits.of_contacts),
         )
         glued = list(zip(solved.wearer.markers, solved.wearer.joints, solved.wearer.places_m, strict=True))
         for target in targets:
@@ -134,24 +178,26 @@ def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str) -> 
         save_motion_page(solved, page)
         return solved.report
 
-    key = key_of(key, made_of, settings.marker_set, list(settings.solve_to), VERSIONS["solve"])
+    key = key_of(key, made_of, settings.marker_set, list(settings.solve_to), marks, VERSIONS["solve"])
     return stages.files("solve", key, [*targets, page], run)
 
 
-def _tracked(stages: Stages, settings: TakeSettings) -> tuple[Points, str, dict[str, Any]]:
+def _tracked(stages: Stages, settings: TakeSettings, edits: EditList) -> tuple[Points, str, dict[str, Any]]:
     """Trajectories: from dots by tracking, or as another system made them."""
     file = Path(settings.file)
     options = {"frames": settings.frames, "rate_hz": settings.rate_hz}
     frames = _frames(settings.frames)
-    if _holds_dots(file):
+    if holds_dots(file):
         if not settings.calibration:
             raise InputError(f"{file.name} holds dots: the project needs a calibration for take '{settings.name}'")
-        key = key_of(file, Path(settings.calibration), options, VERSIONS["track"])
+        excluded = [e.model_dump(mode="json") for e in edits.of_dots]
+        key = key_of(file, Path(settings.calibration), options, excluded, VERSIONS["track"])
 
         def run() -> tuple[Points, dict[str, Any]]:
-            dots = formats.read_observations(file)
-            dots = dots if not settings.rate_hz else replace(dots, rate_hz=settings.rate_hz)
+            dots, unfit = without_excluded(read_dots(settings), edits.of_dots)
             found = track(dots, formats.read_calibration(settings.calibration), frames=frames)
+            found.report["warnings"] += unfit
+            table_file.write(found.assignments, stages.folder / ASSIGNMENTS)
             return found, found.report
 
         return (*_swap(stages.points("track", key, run), key),)
@@ -161,11 +207,18 @@ def _tracked(stages: Stages, settings: TakeSettings) -> tuple[Points, str, dict[
     return points, key_of(file, options), {}
 
 
+def read_dots(settings: TakeSettings) -> Observations:
+    """The centroids of a take, with the rate that its settings state."""
+    dots = formats.read_observations(settings.file)
+    return dots if not settings.rate_hz else replace(dots, rate_hz=settings.rate_hz)
+
+
 def _swap(made: tuple[Points, dict[str, Any]], key: str) -> tuple[Points, str, dict[str, Any]]:
     return made[0], key, made[1]
 
 
-def _holds_dots(file: Path) -> bool:
+def holds_dots(file: Path) -> bool:
+    """Whether a file holds centroids of cameras."""
     kind = formats.ending(file)
     if kind == ".x2d":
         return True
@@ -222,8 +275,8 @@ def _frames(text: str) -> tuple[int | None, int | None] | None:
         raise InputError(f"frames = '{text}' is not A:B, such as 0:400 or 100:") from None
 
 
-def _snapshot(folder: Path, settings: TakeSettings) -> None:
-    """What the result was made with: settings, and copies of calibration and subjects."""
+def _snapshot(folder: Path, settings: TakeSettings, edits: EditList) -> None:
+    """What the result was made with: settings, edits, and copies of calibration and subjects."""
     kept = folder / "made-with"
     kept.mkdir(exist_ok=True)
     plain = {
@@ -237,3 +290,5 @@ def _snapshot(folder: Path, settings: TakeSettings) -> None:
     for source in (settings.calibration, own, settings.hints, *settings.subjects):
         if source:
             shutil.copyfile(source, kept / Path(source).name)
+    if edits:
+        write_edits(edits, kept / f"{Path(settings.file).name}{ENDING}")

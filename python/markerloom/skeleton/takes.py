@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,13 +41,16 @@ class Solved:
     report: dict[str, Any]
 
 
+TellsContacts = Callable[[Motion], list[Contact]]
+
+
 def solve(
     points: Points,
     skeleton: str | Skeleton | Wearer = "hanim-loa1",
     *,
     known: Hints | MarkerSet | None = None,
     fit_from: Points | None = None,
-    contacts: bool | list[Contact] = True,
+    contacts: bool | list[Contact] | TellsContacts = True,
     person: str | None = None,
     rate_hz: float | None = None,
 ) -> Solved:
@@ -54,7 +58,8 @@ def solve(
 
     The skeleton is fitted to the take itself, or to ``fit_from`` (a range of motion or a static pose); a ``Wearer``
     that was fitted before is used as it is. ``known``: hints or a marker set where names do not say which;
-    ``contacts``: feet that stand are held (found, or as given). Raises ``InputError`` where nobody can be solved for.
+    ``contacts``: feet that stand are held (found, as given, or as a function tells of the motion). Raises
+    ``InputError`` where nobody can be solved for.
     """
     rate = rate_hz or points.rate_hz
     if not rate:
@@ -74,12 +79,18 @@ def solve(
     )
     poses, certain = figure.solve(worn_m, 1.0 / rate, [], [], None)
     motion = _motion(wearer, first, worn_m, poses, certain)
-    held: list[Contact] = find_contacts(motion) if contacts is True else list(contacts or [])
+    held = _held(motion, contacts)
     if held:
         poses, certain = figure.solve(worn_m, 1.0 / rate, pins_of(motion, held), [], poses)
         motion = _motion(wearer, first, worn_m, poses, certain)
     off_mm = 1000.0 * residuals_m(wearer, motion, worn_m)
     return Solved(motion, wearer, held, off_mm, _report(wearer, motion, held, off_mm, names))
+
+
+def _held(motion: Motion, contacts: bool | list[Contact] | TellsContacts) -> list[Contact]:
+    if callable(contacts):
+        return contacts(motion)
+    return find_contacts(motion) if contacts is True else list(contacts or [])
 
 
 def named_markers(points: Points, person: str | None = None) -> tuple[list[str], Array, NDArray[np.int64]]:
