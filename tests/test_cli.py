@@ -27,6 +27,7 @@ VERBS = [
     "smooth",
     "solve",
     "process",
+    "view",
 ]
 
 

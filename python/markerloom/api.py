@@ -84,6 +84,7 @@ from markerloom.skeleton import (
     write_wearer,
 )
 from markerloom.smoothing import Smoothed, smooth
+from markerloom.studio import view
 from markerloom.subjects import (
     MarkerSet,
     Subject,
@@ -229,6 +230,7 @@ __all__ = [
     "truth_from_observations",
     "truth_without_views",
     "two_rays",
+    "view",
     "without_excluded",
     "write_calibration",
     "write_edits",

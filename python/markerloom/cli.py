@@ -49,6 +49,7 @@ from markerloom.simulate import PRESETS, make_rig, make_scene, save
 from markerloom.simulate import simulate as run_simulate
 from markerloom.skeleton.cli import solve
 from markerloom.skeleton.files import PRESETS as STYLES
+from markerloom.studio.cli import view
 from markerloom.sync.cli import sync
 from markerloom.track import track as run_track
 from markerloom.track_page import save_track_page
@@ -58,7 +59,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
 app.add_typer(subject_app, name="subject")
 app.add_typer(rigid_app, name="rigid")
-for verb in (sync, label, fill, smooth, mend, solve, process):
+for verb in (sync, label, fill, smooth, mend, solve, process, view):
     app.command()(verb)
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)

@@ -6,6 +6,7 @@ SIGMAS, SIGMAS2, … (floats, mm), frame by frame, all points of a frame in orde
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -43,35 +44,70 @@ def write_file(file: _core.C3d, path: str | Path) -> None:
     write_bytes(path, data)
 
 
-def read(path: str | Path) -> Points:
-    """The points of a file, in millimetres, Z up."""
+@dataclass(frozen=True)
+class Columns:
+    """A file as columns: ``xyz_mm`` (frames, slots, 3; Z up), ``present``, ``kind``, ``sigma_mm`` (NaN: not known),
+    ``residual_mm`` (NaN: not known), ``camera_mask`` (frames, slots); labels of the slots, ``*1`` and so on without.
+    """
+
+    labels: list[str]
+    xyz_mm: np.ndarray
+    present: np.ndarray
+    kind: np.ndarray
+    sigma_mm: np.ndarray
+    residual_mm: np.ndarray
+    camera_mask: np.ndarray
+    rate_hz: float | None
+    tracked: bool
+
+
+def read_columns(path: str | Path) -> Columns:
+    """The points of a file as columns, in millimetres, Z up: less memory than one row for each point."""
     file = read_file(path)
     unit = (file.strings("POINT", "UNITS") or ["mm"])[0].strip().lower()
     if unit not in TO_MM:
         raise FormatError(path, f"unknown unit {unit!r}", where="POINT:UNITS")
-    xyz = file.coordinates() * TO_MM[unit]
+    xyz = file.coordinates()
+    xyz *= TO_MM[unit]
     residual, mask = file.residuals()
     present = (residual >= 0) & np.isfinite(xyz).all(axis=2)
     frames, slots, _ = xyz.shape
     if (file.strings("POINT", "Y_SCREEN") or [""])[0].strip().upper() == "+Y":
         xyz = np.stack([xyz[..., 0], -xyz[..., 2], xyz[..., 1]], axis=2)
     labels = _labels(file, slots)
-    kinds, sigmas = _own(file, frames, slots)
+    kind, sigma = _own(file, frames, slots)
+    return Columns(
+        labels=labels,
+        xyz_mm=xyz,
+        present=present,
+        kind=kind,
+        sigma_mm=sigma,
+        residual_mm=np.where(residual > 0, residual * TO_MM[unit], np.nan),
+        camera_mask=mask,
+        rate_hz=float(file.rate_hz) if file.rate_hz > 0 else None,
+        tracked=(file.number(GROUP, "TRACKED") or 0) > 0 or not any(n.startswith("*") for n in labels),
+    )
+
+
+def read(path: str | Path) -> Points:
+    """The points of a file, in millimetres, Z up."""
+    columns = read_columns(path)
+    present = columns.present
     frame, slot = np.nonzero(present)
-    names = np.array(["" if name.startswith("*") else name for name in labels] or [""], dtype=str)
+    names = np.array(["" if name.startswith("*") else name for name in columns.labels] or [""], dtype=str)
     return Points.of(
         frame.astype(np.int64),
         slot.astype(np.int64),
-        xyz[present],
+        columns.xyz_mm[present],
         label=names[slot],
-        kind=kinds[present],
-        sigma_mm=sigmas[present],
-        residual_mm=np.where(residual[present] > 0, residual[present] * TO_MM[unit], np.nan),
-        camera_mask=mask[present].astype(np.int64),
-        rate_hz=float(file.rate_hz) if file.rate_hz > 0 else None,
-        frames=np.arange(frames),
+        kind=columns.kind[present].astype(np.int64),
+        sigma_mm=columns.sigma_mm[present],
+        residual_mm=columns.residual_mm[present],
+        camera_mask=columns.camera_mask[present].astype(np.int64),
+        rate_hz=columns.rate_hz,
+        frames=np.arange(len(present)),
         source=str(path),
-        tracked=(file.number(GROUP, "TRACKED") or 0) > 0 or not any(n.startswith("*") for n in labels),
+        tracked=columns.tracked,
     )
 
 
@@ -81,18 +117,19 @@ def _labels(file: _core.C3d, slots: int) -> list[str]:
 
 
 def _own(file: _core.C3d, frames: int, slots: int) -> tuple[np.ndarray, np.ndarray]:
-    kinds = np.full((frames, slots), MEASURED, np.int64)
+    kinds = np.full((frames, slots), MEASURED, np.int8)
     sigmas = np.full((frames, slots), np.nan)
     for name, target in (("KINDS", kinds), ("SIGMAS", sigmas)):
-        values: list[float] = []
+        parts: list[np.ndarray] = []
         for i in range(1, 100_000):
             part = file.numbers(GROUP, name if i == 1 else f"{name}{i}")
             if not part:
                 break
-            values += part
+            parts.append(np.array(part, target.dtype))
+        values = np.concatenate([*parts, np.zeros(0, target.dtype)])
         if len(values) >= frames * slots > 0:
-            target[:] = np.reshape(values[: frames * slots], (frames, slots))
-    sigmas[sigmas < 0] = np.nan
+            target[:] = values[: frames * slots].reshape(frames, slots)
+    np.copyto(sigmas, np.nan, where=sigmas < 0)
     return kinds, sigmas
 
 

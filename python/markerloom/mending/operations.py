@@ -141,7 +141,7 @@ def _fill(changes: Changes, edit: Fill) -> None:
 
 
 def filled(sheet: Sheet, slot: int, low: int, high: int, method: str) -> list[tuple[int, dict[str, Any]]]:
-    """The gaps of a trajectory that meet rows ``low`` to before ``high``, as they would be filled; nothing is changed."""
+    """How the gaps of a trajectory that meet rows ``low`` to before ``high`` would be filled; nothing is changed."""
     margin = round(AROUND_S * (sheet.rate_hz or 100.0))
     start, stop = max(low - margin, 0), min(high + margin, sheet.count)
     points = sheet.window(start, stop)
@@ -189,7 +189,7 @@ def _move(changes: Changes, edit: Move) -> None:
     row = edit.at.frame - sheet.first
     after = changes.copy(slot, row, row + 1)
     after["xyz_mm"][0], after["kind"][0] = edit.xyz_mm, EDITED
-    after["sigma_mm"][0] = after["residual_px"][0] = np.nan
+    after["sigma_mm"][0] = after["residual"][0] = np.nan
     changes.write(slot, row, after)
 
 

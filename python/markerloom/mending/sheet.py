@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,20 +17,29 @@ Samples = dict[str, NDArray[Any]]
 ABSENT = -1
 SAME_MM = 10.0
 """Two markers are never nearer to each other than a marker is wide: within this it is the same trajectory."""
-BLANK: dict[str, float] = {"xyz_mm": np.nan, "sigma_mm": np.nan, "kind": ABSENT, "residual_px": np.nan, "row": -1}
+BLANK: dict[str, float] = {
+    "xyz_mm": np.nan,
+    "sigma_mm": np.nan,
+    "kind": ABSENT,
+    "residual": np.nan,
+    "row": -1,
+    "origin": -1,
+}
+HELD = ("xyz_mm", "sigma_mm", "kind", "residual", "row")
+VERSIONS = count()
 
 
 @dataclass
 class Trajectory:
-    """One trajectory: ``samples`` hold ``xyz_mm`` (frames, 3), ``sigma_mm``, ``kind`` (−1: absent), ``residual_px``
-    (frames,), and where the take's points are kept, ``row``: the row of each sample in them. ``version`` goes up with
-    every change.
+    """One trajectory: ``samples`` hold ``xyz_mm`` (frames, 3), ``sigma_mm``, ``kind`` (−1: absent), ``residual`` (px,
+    or mm where only that is known), and where the take's points are kept, ``row``: the row of each sample in them.
+    ``origin``: the track in which a sample came, where that is of interest. ``version`` is another after every change.
     """
 
     track: int
     label: str
     samples: Samples
-    version: int = 0
+    version: int = field(default_factory=lambda: next(VERSIONS))
 
     @property
     def kind(self) -> NDArray[np.int8]:
@@ -56,18 +66,18 @@ class Sheet:
     def of(points: Points) -> Sheet:
         """The trajectories of a take; frames that it skips are there too, without samples."""
         first = int(points.frames[0]) if len(points.frames) else 0
-        count = int(points.frames[-1]) - first + 1 if len(points.frames) else 0
+        frames = int(points.frames[-1]) - first + 1 if len(points.frames) else 0
         order = np.argsort(points.track, kind="stable")
         tracks, starts = np.unique(points.track[order], return_index=True)
         made = []
         for track, rows in zip(tracks.tolist(), np.split(order, starts[1:]), strict=True) if len(order) else ():
             at = points.frame[rows] - first
-            samples = blank(count, tuple(BLANK))
-            for name in ("xyz_mm", "sigma_mm", "kind", "residual_px"):
+            samples = blank(frames, HELD)
+            for name in ("xyz_mm", "sigma_mm", "kind"):
                 samples[name][at] = getattr(points, name)[rows]
-            samples["row"][at] = rows
+            samples["residual"][at], samples["row"][at] = points.residual_px[rows], rows
             made.append(Trajectory(int(track), str(points.label[rows[0]]), samples))
-        return Sheet(first, count, points.rate_hz, made, points.source)
+        return Sheet(first, frames, points.rate_hz, made, points.source)
 
     def span(self, within: Range) -> tuple[int, int]:
         """Rows of the frames of a range: the first, and one past the last."""
@@ -168,7 +178,7 @@ class Sheet:
             sigma_mm=column("sigma_mm", np.zeros(0)),
             kind=column("kind", np.zeros(0, np.int64)).astype(np.int64),
             rays=known(kept.rays, 0),
-            residual_px=column("residual_px", np.zeros(0)),
+            residual_px=column("residual", np.zeros(0)),
             confidence=known(kept.confidence, np.nan),
             residual_mm=known(kept.residual_mm, np.nan),
             camera_mask=known(kept.camera_mask, 0),
@@ -177,11 +187,11 @@ class Sheet:
         )
 
 
-def blank(count: int, names: tuple[str, ...]) -> Samples:
+def blank(frames: int, names: tuple[str, ...]) -> Samples:
     """Samples of a trajectory that has none."""
-    kinds = {"kind": np.int8, "row": np.int64}
-    shape = {"xyz_mm": (count, 3)}
-    return {n: np.full(shape.get(n, (count,)), BLANK[n], kinds.get(n, np.float64)) for n in names}
+    kinds = {"kind": np.int8, "row": np.int64, "origin": np.int64}
+    shape = {"xyz_mm": (frames, 3)}
+    return {n: np.full(shape.get(n, (frames,)), BLANK[n], kinds.get(n, np.float64)) for n in names}
 
 
 @dataclass
@@ -203,7 +213,7 @@ class Changes:
         self.before.append((slot, low, {n: v[part].copy() for n, v in one.samples.items()}))
         for name, values in samples.items():
             one.samples[name][part] = values
-        one.version += 1
+        one.version = next(VERSIONS)
 
     def clear(self, slot: int, low: int, high: int) -> None:
         """No samples from row ``low`` to before ``high``."""
@@ -216,7 +226,7 @@ class Changes:
     def rename(self, slot: int, label: str) -> None:
         """Give a trajectory a label, or none."""
         self.sheet.trajectories[slot].label = label
-        self.sheet.trajectories[slot].version += 1
+        self.sheet.trajectories[slot].version = next(VERSIONS)
 
     def new(self, label: str = "") -> int:
         """A trajectory without samples; returns its place."""
@@ -236,4 +246,4 @@ class Changes:
         del sheet.trajectories[len(self.labels) :]
         for one, label in zip(sheet.trajectories, self.labels, strict=True):
             one.label = label
-            one.version += 1
+            one.version = next(VERSIONS)

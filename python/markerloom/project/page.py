@@ -104,24 +104,28 @@ def _gaps(fills: dict[str, Any]) -> list[str]:
 COLUMNS = ("take", "frames", "named", "gaps", "filled", "complete", "residual_px")
 
 
-def save_quality(project: Project, rows: list[dict[str, Any]], failed: list[dict[str, str]]) -> None:
-    """Write ``results/quality.csv`` and ``results/report.html``: one line for each take."""
+def save_quality(
+    project: Project, rows: list[dict[str, Any]], failed: list[dict[str, str]], *, others: list[str]
+) -> None:
+    """Write ``results/quality.csv`` and ``results/report.html``: one line for each take; those of ``others`` stay."""
     folder = project.folder / "results"
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "quality.csv"
+    lines = {r["take"]: [*(_cell(r[c]) for c in COLUMNS), str(len(r["warnings"])), ""] for r in rows}
+    lines |= {f["take"]: [f["take"], *[""] * len(COLUMNS), f["reason"]] for f in failed}
+    if others and file.is_file():
+        known = list(csv.reader(io.StringIO(file.read_text("utf-8"))))[1:]
+        lines |= {line[0]: line for line in known if len(line) == len(COLUMNS) + 2 and line[0] in others}
+    ordered = [lines[name] for name in sorted(lines)]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*COLUMNS, "warnings", "failed"])
-    for row in rows:
-        writer.writerow([*(_cell(row[c]) for c in COLUMNS), len(row["warnings"]), ""])
-    for one in failed:
-        writer.writerow([one["take"], *[""] * len(COLUMNS), one["reason"]])
-    write_text(folder / "quality.csv", out.getvalue())
-    table = html.table(
-        [*COLUMNS, "warnings"], [[*(_cell(r[c]) for c in COLUMNS), str(len(r["warnings"]))] for r in rows]
-    )
-    parts = [html.section("Takes", table)]
-    if failed:
-        parts.append(html.section("Failed", html.table(["take", "reason"], [[f["take"], f["reason"]] for f in failed])))
+    writer.writerows([[*COLUMNS, "warnings", "failed"], *ordered])
+    write_text(file, out.getvalue())
+    done = [line[:-1] for line in ordered if not line[-1]]
+    parts = [html.section("Takes", html.table([*COLUMNS, "warnings"], done))]
+    broken = [[line[0], line[-1]] for line in ordered if line[-1]]
+    if broken:
+        parts.append(html.section("Failed", html.table(["take", "reason"], broken)))
     html.write(folder / "report.html", project.name, *parts)
 
 

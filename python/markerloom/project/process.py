@@ -40,14 +40,14 @@ VERSIONS = {"track": 2, "label": 1, "fill": 1, "smooth": 1, "mend": 1, "solve": 
 Say = Callable[[str], None]
 
 
-def process(folder: str | Path, *, takes: list[str] | None = None, say: Say | None = None) -> dict[str, Any]:
-    """Process a project; returns its report: a row for each take, and those that failed with the reason.
+def process(folder: str | Path | Project, *, takes: list[str] | None = None, say: Say | None = None) -> dict[str, Any]:
+    """Process a project, by its folder or as it was read; returns a row for each take, and the reason of each failure.
 
     Results are in ``results/TAKE``: every stage as Parquet, the exported files, a page, and a snapshot of calibration,
     subjects and settings. What did not change is not computed again; a take that fails does not stop the others.
     ``takes``: only these.
     """
-    project = read_project(folder)
+    project = folder if isinstance(folder, Project) else read_project(folder)
     chosen = _chosen(project, takes)
     rows: list[dict[str, Any]] = []
     failed: list[dict[str, str]] = []
@@ -61,7 +61,7 @@ def process(folder: str | Path, *, takes: list[str] | None = None, say: Say | No
             failed.append({"take": settings.name, "reason": str(error)})
             if say:
                 say(f"{settings.name}: failed: {error}")
-    save_quality(project, rows, failed)
+    save_quality(project, rows, failed, others=[t.name for t in project.takes if t not in chosen])
     return {
         "frames": sum(r["frames"] for r in rows),
         "warnings": [f"take '{f['take']}' failed: {f['reason']}" for f in failed],

@@ -1,0 +1,106 @@
+"""Marker sets and subjects of a project, for the editor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from markerloom.errors import InputError, MarkerloomError
+from markerloom.project import Project
+from markerloom.studio import messages
+from markerloom.subjects import MarkerSet, marker_sets, read_marker_set, read_subject, write_marker_set
+
+MOST_TOLD = 12
+
+
+def known_sets(project: Project) -> list[str]:
+    """Names of the sets that can be looked at: those in the project's folder (``NAME.toml``), and markerloom's."""
+    own = {Path(t.marker_set).name for t in project.takes if Path(t.marker_set).is_file()}
+    for file in sorted(project.folder.glob("*.toml")) if project.folder.is_dir() else ():
+        try:
+            read_marker_set(file)
+        except MarkerloomError:
+            continue
+        own.add(file.name)
+    return [*sorted(own), *marker_sets()]
+
+
+def marker_set_view(project: Project, name: str) -> messages.MarkerSetView:
+    """A set to be looked at."""
+    made = read_marker_set(_source(project, name))
+    markers = [
+        messages.MarkerView(
+            name=marker,
+            side=made.sides[i] or "middle",  # pyright: ignore[reportArgumentType]
+            segment=made.segments[i],
+            color=made.colors[i],
+            place=tuple(made.places[i].tolist()) if np.isfinite(made.places[i]).all() else None,
+        )
+        for i, marker in enumerate(made.markers)
+    ]
+    return messages.MarkerSetView(name=made.name, title=made.title, markers=markers, links=list(made.rigid_pairs))
+
+
+def _source(project: Project, name: str) -> str | Path:
+    if name not in known_sets(project):
+        raise InputError(f"there is no marker set '{name}'; there are {', '.join(known_sets(project))}")
+    return project.folder / name if (project.folder / name).is_file() else name
+
+
+def save_marker_set(project: Project, name: str, view: messages.MarkerSetView) -> messages.Done:
+    """Write a set into the project's folder; those of markerloom itself are never changed."""
+    if Path(name).name != name or not name.endswith(".toml") or name == "markerloom.toml" or name.startswith("."):
+        raise InputError(f"'{name}': a marker set is saved as NAME.toml in the project's folder")
+    file = project.folder / name
+    if file.exists() and name not in known_sets(project):
+        raise InputError(f"{name} is there already, and is no marker set")
+    names = [one.name for one in view.markers]
+    if not names:
+        raise InputError("a marker set has at least one marker")
+    again = sorted({n for n in names if names.count(n) > 1})
+    if again or "" in names:
+        raise InputError(f"two markers are called '{again[0]}'" if again else "every marker has a name")
+    strangers = sorted({n for pair in view.links for n in pair} - set(names))
+    if strangers:
+        raise InputError(f"a link names '{strangers[0]}', which is no marker of the set")
+    made = MarkerSet(
+        name=view.name or name.removesuffix(".toml"),
+        markers=tuple(names),
+        segments=tuple(one.segment for one in view.markers),
+        sides=tuple(one.side for one in view.markers),
+        places=np.array([one.place or (np.nan,) * 3 for one in view.markers], float),
+        colors=tuple(one.color for one in view.markers),
+        rigid_pairs=tuple((a, b) for a, b in view.links),
+        title=view.title,
+    )
+    project.folder.mkdir(parents=True, exist_ok=True)
+    write_marker_set(made, file)
+    return messages.Done(message=f"{name}: {len(names)} markers", path=str(file))
+
+
+def subject_views(project: Project) -> list[messages.SubjectView]:
+    """Subjects of the project's takes, with the distances that vary least."""
+    files = sorted({s for t in project.takes for s in t.subjects})
+    found = []
+    for file in files:
+        one = read_subject(file)
+        n = len(one)
+        pairs = [
+            (one.markers[i], one.markers[j], 1000.0 * known[0], 1000.0 * known[1])
+            for i in range(n)
+            for j in range(i + 1, n)
+            if (known := one.distances[i * n + j]) is not None
+        ]
+        firm = sorted(pairs, key=lambda p: p[3])[:MOST_TOLD]
+        found.append(
+            messages.SubjectView(
+                file=Path(file).name,
+                name=one.name,
+                marker_set=one.marker_set,
+                markers=list(one.markers),
+                poses=one.poses,
+                firmest=firm,
+            )
+        )
+    return found
