@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.points import KINDS, Points
-from markerloom.skeleton.contacts import Contact, find_contacts, pins_of, slides_mm
+from markerloom.skeleton.contacts import FEET, Contact, find_contacts, pins_of, slides_mm
 from markerloom.skeleton.definition import read_skeleton
 from markerloom.skeleton.fitting import Wearer, fit_skeleton
 from markerloom.skeleton.motion import Motion, angles, turns_of
@@ -169,6 +169,7 @@ def _report(wearer: Wearer, motion: Motion, held: list[Contact], off_mm: Array, 
         "residual_mm_per_marker": {m: float(v) for m, v, s in zip(wearer.markers, per_marker, ever, strict=True) if s},
         "bone_lengths_mm": {j: 1000.0 * float(lengths[i]) for i, j in enumerate(skeleton.joints) if i},
         "contacts": slides,
+        "feet": [s.name for s in skeleton.sites if s.name.rpartition("_")[2] in FEET],
         "inferred": float(np.mean(motion.kind)),
         "warnings": _warnings(wearer, motion, off_mm, names),
     }

@@ -153,24 +153,28 @@ def _skeleton(take: OpenTake) -> messages.SkeletonView | None:
     return messages.SkeletonView(
         joints=list(skeleton.joints),
         parents=list(skeleton.parents),
-        sites=[s.name for s in skeleton.sites],
+        ends=[s.joint for s in skeleton.sites],
+        feet=list(_solve_report(take).get("feet", [])),
         stale=take.skeleton_stale,
     )
 
 
 def _contacts(take: OpenTake) -> list[messages.ContactView]:
     """Contacts as they were found, and as marked since."""
-    found = [
-        Contact(c["site"], c["start"], c["stop"]) for c in take.remembered("contacts", lambda: _found_contacts(take))
-    ]
+    found = [Contact(c["site"], c["start"], c["stop"]) for c in _solve_report(take).get("contacts", [])]
     return [
         messages.ContactView(site=c.site, first=c.start, last=c.stop - 1) for c in marked(found, take.edits.of_contacts)
     ]
 
 
-def _found_contacts(take: OpenTake) -> list[dict[str, Any]]:
-    note = take.folder / "solve.json"
-    return json.loads(note.read_text("utf-8"))["report"].get("contacts", []) if note.is_file() else []
+def _solve_report(take: OpenTake) -> dict[str, Any]:
+    """What was reported when the skeleton was solved; nothing where it was not."""
+
+    def read() -> dict[str, Any]:
+        note = take.folder / "solve.json"
+        return json.loads(note.read_text("utf-8")).get("report", {}) if note.is_file() else {}
+
+    return take.remembered("solve report", read)
 
 
 def _runs(take: OpenTake, slot: int) -> Array:

@@ -69,11 +69,14 @@ class EditView(Message):
 
 
 class SkeletonView(Message):
-    """A solved skeleton: names of joints, each joint's parent (−1: root); ``stale``: edits came after it was solved."""
+    """A solved skeleton: joints, each with its parent (−1: root), ends of bones with the joint that each belongs to,
+    and places of feet that can stand. ``stale``: edits came after it was solved.
+    """
 
     joints: list[str]
     parents: list[int]
-    sites: list[str]
+    ends: list[int]
+    feet: list[str]
     stale: bool
 
 

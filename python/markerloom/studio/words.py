@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from markerloom.errors import InputError
 from markerloom.mending import edits as e
 from markerloom.mending.sheet import Sheet
 
@@ -12,7 +13,7 @@ def of_edit(edit: e.Edit, sheet: Sheet) -> str:
     def name(at: e.At) -> str:
         try:
             return sheet.name(sheet.find(at))
-        except ValueError:
+        except InputError:
             return f"marker in frame {at.frame}"
 
     match edit:
