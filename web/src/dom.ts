@@ -3,7 +3,7 @@
 type Child = Node | string | null | undefined | false;
 type Properties = Record<string, unknown>;
 
-/** An element with properties (`onclick`, `className`, …; `aria-*`, `data-*` and `for` as attributes) and children. */
+/** An element with properties (`onclick`, `className`, …: handlers must not return false, which would stop the event; `aria-*`, `data-*` and `for` as attributes) and children. */
 export function h<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   properties: Properties = {},

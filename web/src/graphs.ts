@@ -4,6 +4,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { api } from "./api";
 import { main } from "./selection";
+import { drawn } from "./series";
 import * as state from "./state";
 import { after } from "./store";
 import { css } from "./theme";
@@ -16,19 +17,6 @@ const WHAT: Record<string, { names: string[]; unit: string }> = {
   uncertainty: { names: ["sigma"], unit: "mm" },
 };
 const COLORS = ["#d55e00", "#1aa67d", "#3d8fd1"];
-
-/** Least and largest of each bin, one after the other: a line through them shows every peak. */
-export function drawn(series: Series, names: readonly string[]): (number | null)[][] {
-  const data: (number | null)[][] = [[], ...names.map(() => [])];
-  series.frames.forEach((frame, i) => {
-    const width = (series.frames[i + 1] ?? frame + 1) - frame;
-    data[0].push(frame, frame + Math.max(width / 2, 0.25));
-    names.forEach((name, k) => {
-      data[k + 1].push(series.lows[name]?.[i] ?? null, series.highs[name]?.[i] ?? null);
-    });
-  });
-  return data;
-}
 
 export class GraphView {
   private plot: uPlot | null = null;

@@ -301,7 +301,7 @@ async function told(notice: Notice): Promise<void> {
   }
   state.sourceState.set(notice.sources[take.name] ?? "ok");
   const now = notice.revisions[take.name];
-  const busy = notice.takes.find((t) => t.name === take.name)?.state === "working";
+  const busy = state.busy.get() > 0 || notice.takes.find((t) => t.name === take.name)?.state === "working";
   if (now !== undefined && now > (state.take.get()?.revision ?? now) && !busy) {
     await refresh(take.name).catch(state.complain);
     state.say("The take was changed in another window; it is shown as it is now.");

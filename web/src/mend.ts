@@ -5,23 +5,26 @@ import { refresh } from "./open";
 import { gapAt } from "./runs";
 import { main, other } from "./selection";
 import * as state from "./state";
-import type { At, Range } from "./wire";
+import type { At, Done, Range } from "./wire";
 
 const WAITING = "markerloom.waiting";
 
 interface Waiting {
   take: string;
   revision: number;
-  edit: Edit;
+  edit: Wanted;
 }
 
+type Pointer = At | { frame: number; slot: number };
+type Pointing<T> = T extends unknown ? { [K in keyof T]: T[K] extends At ? Pointer : T[K] } : never;
+type Wanted = Pointing<Edit>;
+
 /** Make an edit. Where the server is gone it waits in the browser until the server is back. */
-export async function edit(wanted: Edit): Promise<boolean> {
+export async function edit(wanted: Wanted): Promise<boolean> {
   const take = state.take.get();
   if (take === null) return false;
   try {
-    const done = await api.edit(take.name, take.revision, wanted);
-    await refresh(take.name);
+    const done = await changing(async () => api.edit(take.name, take.revision, await resolved(take.name, wanted)));
     state.say(done.message);
     return true;
   } catch (error) {
@@ -33,6 +36,18 @@ export async function edit(wanted: Edit): Promise<boolean> {
     }
     await complained(error);
     return false;
+  }
+}
+
+/** Something that changes the take, which is then shown as it is. */
+async function changing(change: () => Promise<Done>): Promise<Done> {
+  state.busy.update((n) => n + 1);
+  try {
+    const done = await change();
+    await refresh(state.take.get()!.name);
+    return done;
+  } finally {
+    state.busy.update((n) => n - 1);
   }
 }
 
@@ -58,8 +73,7 @@ async function step(how: typeof api.undo): Promise<void> {
   const take = state.take.get();
   if (take === null) return;
   try {
-    const done = await how(take.name, take.revision);
-    await refresh(take.name);
+    const done = await changing(() => how(take.name, take.revision));
     state.say(done.message);
   } catch (error) {
     await complained(error);
@@ -69,7 +83,26 @@ async function step(how: typeof api.undo): Promise<void> {
 export const undo = () => step(api.undo);
 export const redo = () => step(api.redo);
 
-const point = (slot: number): Promise<At> => api.at(state.take.get()!.name, slot, state.frameNumber());
+/** A trajectory by its sample in this frame; where that is not at hand, by its slot, which the server looks up later. */
+function point(slot: number): Pointer {
+  const frame = state.frameNumber();
+  const xyz = state.frames
+    .get()
+    ?.peek(state.row.get())
+    ?.xyz.subarray(3 * slot, 3 * slot + 3);
+  if (xyz?.length === 3 && Number.isFinite(xyz[0])) return { frame, xyz_mm: [xyz[0], xyz[1], xyz[2]] };
+  return { frame, slot };
+}
+
+/** An edit with places for all that it points at. */
+async function resolved(take: string, wanted: Wanted): Promise<Edit> {
+  const made: Record<string, unknown> = { ...wanted };
+  for (const field of ["at", "other"]) {
+    const pointer = made[field] as Pointer | undefined;
+    if (pointer && "slot" in pointer) made[field] = await api.at(take, pointer.slot, pointer.frame);
+  }
+  return made as unknown as Edit;
+}
 
 /** The selected frames, as numbers; all of the take where none are selected. */
 export function within(): Range {
@@ -81,20 +114,20 @@ export function within(): Range {
 const rangeOrNull = (): Range | null => (state.range.get() === null ? null : within());
 
 /** What needs the selected marker. */
-function withMain(work: (slot: number, at: At) => Promise<unknown> | undefined): () => Promise<void> {
+function withMain(work: (slot: number, at: Pointer) => Promise<unknown> | undefined): () => Promise<void> {
   return async () => {
     const slot = main(state.selection.get());
     if (slot === null || state.take.get() === null) return state.say("Select a marker first: click it.");
-    await point(slot).then((at) => work(slot, at), state.complain);
+    await work(slot, point(slot));
   };
 }
 
 /** What needs two selected markers. */
-function withPair(work: (at: At, second: At) => Promise<unknown>): () => Promise<void> {
+function withPair(work: (at: Pointer, second: Pointer) => Promise<unknown>): () => Promise<void> {
   return async () => {
     const [a, b] = [main(state.selection.get()), other(state.selection.get())];
     if (a === null || b === null) return state.say("Select two markers first: click one, then the other with Shift.");
-    await Promise.all([point(a), point(b)]).then(([at, second]) => work(at, second), state.complain);
+    await work(point(a), point(b));
   };
 }
 

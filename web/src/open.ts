@@ -12,6 +12,15 @@ const pause = (ms: number) => new Promise((done) => setTimeout(done, ms));
 /** Open a take and wait until it is there. */
 export async function openTake(name: string, how: (take: string) => Promise<TakeInfo> = api.open): Promise<void> {
   state.playing.set(false);
+  state.busy.update((n) => n + 1);
+  try {
+    await opened(name, how);
+  } finally {
+    state.busy.update((n) => n - 1);
+  }
+}
+
+async function opened(name: string, how: (take: string) => Promise<TakeInfo>): Promise<void> {
   let info = await how(name);
   for (; info.state === "working"; info = await api.open(name)) {
     state.say(`${info.message} …`);

@@ -206,7 +206,9 @@ export class MarkerPanel {
       oninput: () => {
         this.typed = field.value;
       },
-      onkeydown: (e: KeyboardEvent) => e.key === "Enter" && this.name(field.value),
+      onkeydown: (e: KeyboardEvent) => {
+        if (e.key === "Enter") void this.name(field.value);
+      },
     });
     const names = h("datalist", { id: "names" }, ...take.suggested_names.map((n) => h("option", { value: n })));
     const likely = this.suggestions.map((s) =>

@@ -1,5 +1,6 @@
 // Keys, as in the commercial tools where those agree.
 
+import { written } from "./keys";
 import * as mend from "./mend";
 import { nextGap } from "./runs";
 import { neighbour } from "./selection";
@@ -118,14 +119,6 @@ export const SHORTCUTS: Record<string, Shortcut[]> = {
 
 function toggle(name: "follow" | "names"): void {
   state.setOption(name, !state.options.get()[name]);
-}
-
-/** How an event is written in the list above. */
-export function written(event: Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "shiftKey">): string {
-  const key = event.key === " " ? "Space" : event.key;
-  const letter = /^[A-Za-z]$/.test(key);
-  const shift = event.shiftKey && (letter || key.length > 1) ? "Shift+" : "";
-  return `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${shift}${key}`;
 }
 
 const TYPED = new Set(["INPUT", "SELECT", "TEXTAREA"]);

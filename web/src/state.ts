@@ -71,6 +71,8 @@ export const region = signal<{ camera: string; low: [number, number]; high: [num
 export const why = signal<Why | null>(null);
 export const preview = signal<Preview | null>(null);
 export const online = signal(true);
+/** While the page itself changes the take: what the server tells of that is no news. */
+export const busy = signal(0);
 export const sourceState = signal<"ok" | "changed" | "gone">("ok");
 export const status = signal<{ text: string; bad: boolean }>({ text: "", bad: false });
 export const options = signal<Options>(kept());

@@ -67,13 +67,14 @@ def _address(workspace: Workspace, port: int) -> tuple[socket.socket, str]:
 
 
 def _listening(*ports: int) -> socket.socket:
-    """A socket on the first port that is free."""
+    """A socket on the first port that is free; who comes before the server is ready waits."""
     for port in ports:
         one = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         if os.name == "posix":
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             one.bind(("127.0.0.1", port))
+            one.listen(128)
         except OSError:
             one.close()
             continue
