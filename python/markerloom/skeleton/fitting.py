@@ -22,7 +22,7 @@ from markerloom.skeleton.centers import motion_centers, with_centers
 from markerloom.skeleton.definition import hanim
 from markerloom.skeleton.motion import Motion, turns_of
 from markerloom.skeleton.placing import Hints, Placed, place_markers
-from markerloom.skeleton.rules import rule_centers
+from markerloom.skeleton.rules import Centers, rule_centers
 from markerloom.skeleton.skeleton import Skeleton
 from markerloom.subjects.marker_set import MarkerSet
 
@@ -117,12 +117,10 @@ def fit_skeleton(
     body = with_centers(motion, centers)
     offset_sd = _offset_sd(body, placed, stature)
     mirrored = [(a, b, MIRROR_SD_M) for a, b in body.mirrored()]
-    # First the markers are put where they are on the body as it stands, then everything is adjusted together.
     first = figure_of(body, placed.joints, places, place_sd)
-    nothing = np.zeros((len(body), 3)).tolist()
-    seated, poses, _ = first.fit(keys_m, None, nothing, place_sd.tolist(), [], [], [])
-    start = figure_of(body, placed.joints, seated.places_m(), np.array(seated.sigmas_m()))
-    figure, poses, _ = start.fit(keys_m, poses, offset_sd.tolist(), place_sd.tolist(), mirrored, [], [])
+    figure, poses, _ = first.fit(
+        keys_m, first.pose(keys_m), offset_sd.tolist(), place_sd.tolist(), mirrored, _held(rules), []
+    )
     off = figure.residuals_m(keys_m, *poses)
     return Wearer(
         skeleton=replace(body, offsets_m=figure.offsets_m(), stature_m=stature),
@@ -133,6 +131,18 @@ def fit_skeleton(
         residual_mm=1000.0 * float(np.sqrt(np.nanmean(off**2))),
         unplaced=tuple(placed.unplaced),
     )
+
+
+def _held(rules: Centers) -> list[tuple[int, int, list[float], list[float], float]]:
+    """Joints held near where rules say they are: where motion does not show a joint, nothing else does. A rule is off by
+    the same in all frames, so that all of them together count once.
+    """
+    pins = []
+    for joint, (center_m, within_m) in rules.items():
+        frames = np.flatnonzero(np.isfinite(center_m).all(axis=1))
+        sd = within_m * float(np.sqrt(len(frames)))
+        pins += [(int(f), joint, [0.0, 0.0, 0.0], center_m[f].tolist(), sd) for f in frames]
+    return pins
 
 
 def _posed(figure: _core.Figure, body: Skeleton, keys_m: Array) -> Motion:

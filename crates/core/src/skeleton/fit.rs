@@ -4,10 +4,10 @@
 //! for, and the poses solved anew: a bundle adjustment of a body. What motion does not show (a joint that never turned)
 //! stays where the prior has it. Each marker's sigma follows from its own residuals.
 
-use super::kinematics::segments;
-use super::solve::{Evidence, Solver, residuals, trust, velocity};
+use super::kinematics::{Segment, segments};
+use super::solve::{Evidence, Pin, Solver, residuals, trust, velocity};
 use super::take::Seen;
-use super::{Figure, Pose};
+use super::{Figure, Marker, Pose};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -225,34 +225,29 @@ fn reduced(
     let last = solver.last_columns(&figure.joints);
     let (mut h, mut g, mut mixed) = (DMatrix::zeros(n, n), DVector::zeros(n), DMatrix::zeros(poses, n));
     let mut own: Vec<(usize, Matrix3<f64>)> = Vec::new();
-    for (m, marker) in figure.markers.iter().enumerate() {
-        let Some(Some(seen)) = seen.markers_m.get(m) else { continue };
-        let x = all[marker.joint].place(&marker.place_m);
-        let off = x - seen;
-        let information = 1.0 / (marker.sigma_m * marker.sigma_m);
-        let weight = trust(off.norm_squared() * information, 1.0) * information;
+    for place in places(shared, figure, seen, &all) {
         own.clear();
-        own.push((shared.of_marker(m), *all[marker.joint].turn.matrix()));
-        let mut at = marker.joint;
+        own.extend(place.column.map(|column| (column, *all[place.joint].turn.matrix())));
+        let mut at = place.joint;
         while let Some(p) = figure.joints[at].parent {
             own.extend(shared.column_of[at].map(|column| (column, *all[p].turn.matrix())));
             at = p;
         }
         for (a, turn_a) in &own {
-            let pull = turn_a.transpose() * off * weight;
+            let pull = turn_a.transpose() * place.off * place.weight;
             let mut rows = g.fixed_rows_mut::<3>(*a);
             rows += pull;
             for (b, turn_b) in &own {
                 let mut block = h.fixed_view_mut::<3, 3>(*a, *b);
-                block += turn_a.transpose() * turn_b * weight;
+                block += turn_a.transpose() * turn_b * place.weight;
             }
         }
-        let relative = x - pose.root_m;
-        let lowest = last[marker.joint];
+        let relative = place.x - pose.root_m;
+        let lowest = last[place.joint];
         for &c in std::iter::once(&lowest).chain(solver.normal.way(lowest)) {
             let moves = velocity(&twists[c], &relative);
             for (a, turn) in &own {
-                let part = moves.transpose() * turn * weight;
+                let part = moves.transpose() * turn * place.weight;
                 for k in 0..3 {
                     mixed[(c, a + k)] += part[k];
                 }
@@ -269,6 +264,31 @@ fn reduced(
     h -= &across * &mixed;
     g -= across * gradient;
     Some((h, g))
+}
+
+/// A place on a segment that should be somewhere: where it is, how far off, and the column of its place, where it has one.
+struct Placed {
+    joint: usize,
+    column: Option<usize>,
+    x: Vector3<f64>,
+    off: Vector3<f64>,
+    weight: f64,
+}
+
+/// Markers that are seen, and pins.
+fn places(shared: &Shared, figure: &Figure, seen: &Seen, all: &[Segment]) -> Vec<Placed> {
+    let marker = |(m, marker): (usize, &Marker)| {
+        let x = all[marker.joint].place(&marker.place_m);
+        let off = x - seen.markers_m.get(m)?.as_ref()?;
+        let information = 1.0 / (marker.sigma_m * marker.sigma_m);
+        let weight = trust(off.norm_squared() * information, 1.0) * information;
+        Some(Placed { joint: marker.joint, column: Some(shared.of_marker(m)), x, off, weight })
+    };
+    let pin = |pin: &Pin| {
+        let x = all[pin.joint].place(&pin.place_m);
+        Placed { joint: pin.joint, column: None, x, off: x - pin.target_m, weight: 1.0 / (pin.sigma_m * pin.sigma_m) }
+    };
+    figure.markers.iter().enumerate().filter_map(marker).chain(seen.pins.iter().map(pin)).collect()
 }
 
 /// Each marker's sigma from its residuals, which are smaller than its noise by what went into the poses (its leverage).

@@ -22,6 +22,8 @@ const LEAST_ROOT: f64 = 0.5;
 const DECAY: f64 = 8.0;
 /// Turns that differ by less than this are the same motion (rad).
 const ALIKE_RAD: f64 = 0.3;
+/// The frame's own pose is believed before that of its neighbours where it leaves this part of the cost.
+const MUCH_BETTER: f64 = 0.5;
 /// A marker this far from its place (in its sigmas, and at least so much, m) does not follow the pose.
 const LOST_SIGMAS: f64 = 10.0;
 const LOST_M: f64 = 0.03;
@@ -269,15 +271,23 @@ pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen], known: Option<V
     let mut priors = neighbours(figure, step_s, &poses, &certain);
     let mut out = Vec::with_capacity(frames.len());
     for ((seen, prior), pose) in frames.iter().zip(&priors).zip(&poses) {
-        let start = if told_alike(figure, pose, prior) { pose } else { &prior.pose };
-        out.push(settled(&mut solver, figure, seen, start, prior));
+        let starts = if told_alike(figure, pose, prior) { vec![pose] } else { vec![&prior.pose, pose] };
+        out.push(settled(&mut solver, figure, seen, &starts, prior));
     }
     bridge(&mut solver, figure, step_s, frames, &certain, &mut priors, &mut out);
     out
 }
 
-fn settled(solver: &mut Solver, figure: &Figure, seen: &Seen, start: &Pose, prior: &Prior) -> Frame {
-    let solved = solver.solve(figure, start.clone(), seen.evidence(), Some(prior));
+/// A frame with what its neighbours say of it, from the first start, or from another that explains it much better.
+fn settled(solver: &mut Solver, figure: &Figure, seen: &Seen, starts: &[&Pose], prior: &Prior) -> Frame {
+    let mut from = |start: &&Pose| solver.solve(figure, (*start).clone(), seen.evidence(), Some(prior));
+    let mut solved = from(&starts[0]);
+    for start in &starts[1..] {
+        let other = from(start);
+        if other.cost < MUCH_BETTER * solved.cost {
+            solved = other;
+        }
+    }
     let certainty = solver.certainty(figure, &solved.pose, seen.evidence(), Some(prior), true);
     Frame { pose: solved.pose, certainty }
 }
@@ -319,7 +329,7 @@ fn bridge(
     bridge_root(step_s, certain, &told, priors, out);
     for t in (0..frames.len()).filter(|&t| untold[t] || !told[t][0]) {
         let start = priors[t].pose.clone();
-        out[t] = settled(solver, figure, &frames[t], &start, &priors[t]);
+        out[t] = settled(solver, figure, &frames[t], &[&start], &priors[t]);
     }
 }
 
