@@ -5,16 +5,20 @@ TOOLS := .tools
 BIN := .venv/bin
 FILES := python tests benches examples docs
 
-.PHONY: demo test check bench results picture wheel lock setup clean
+PAGE := python/markerloom/studio/page/index.html
+WEB := $(shell find web -path web/node_modules -prune -o -type f -print)
 
-demo: setup ## simulate a capture, reconstruct it, write a report
+.PHONY: demo test check web web-check bench results picture tour wheel lock setup clean
+
+demo: setup $(PAGE) ## simulate a capture, reconstruct it, write a report; ends with a take ready to be viewed
 	$(BIN)/markerloom demo
 
-test: setup ## the quick tests
+test: setup $(PAGE) ## the quick tests; those in a browser where there is Chromium
 	cargo test --quiet --release --locked --workspace
+	@if command -v npm >/dev/null; then cd web && npm test --silent; fi
 	$(BIN)/pytest -n auto -m "not slow"
 
-check: setup ## formatting, lints, types, all tests, the README and the examples: what CI runs
+check: setup web-check ## formatting, lints, types, all tests, the README and the examples: what CI runs
 	cargo fmt --check
 	cargo clippy --quiet --release --locked --workspace --all-targets -- -D warnings
 	$(BIN)/ruff format --check $(FILES)
@@ -22,6 +26,17 @@ check: setup ## formatting, lints, types, all tests, the README and the examples
 	$(BIN)/pyright
 	cargo test --quiet --release --locked --workspace
 	$(BIN)/pytest -n auto
+
+web: $(PAGE) ## the studio's page, where its sources are newer
+
+# Without Node the page is not built, and `markerloom view` says how to get it.
+$(PAGE): $(WEB)
+	@if command -v npm >/dev/null; then \
+		cd web && npm ci --silent --no-audit --no-fund && npm run --silent build; \
+	else echo "npm is missing: the studio's page is not built (install Node 20 or newer)"; fi
+
+web-check: $(PAGE) ## the page's formatting, lints, types and tests
+	cd web && npm run --silent check && npm test --silent
 
 bench: setup ## time per frame, by Criterion
 	cargo bench --locked -p markerloom-core
@@ -32,7 +47,10 @@ results: setup ## every accuracy figure of docs/results.md
 picture: setup ## the README's picture, from the demo
 	$(BIN)/python docs/make_picture.py
 
-wheel: setup ## a wheel for this machine in dist/
+tour: setup $(PAGE) ## the studio's pictures in docs/tour, from the demo
+	$(BIN)/python docs/make_tour.py
+
+wheel: setup $(PAGE) ## a wheel for this machine in dist/, with the studio's page
 	$(BIN)/maturin build --release --out dist
 
 lock: $(TOOLS)/bin/uv ## renew requirements.lock from pyproject.toml
@@ -59,4 +77,4 @@ $(TOOLS)/bin/uv:
 	$(TOOLS)/bin/pip install --quiet --disable-pip-version-check uv
 
 clean:
-	rm -rf target .venv $(TOOLS) out dist
+	rm -rf target .venv $(TOOLS) out dist web/node_modules python/markerloom/studio/page

@@ -139,7 +139,7 @@ def demo(
         say(quiet, f"  {name}: {text}")
     for name, path in made.files.items():
         say(quiet, f"{name:8} {path}")
-    say(quiet, f"Open {made.files['page']} in a browser.")
+    say(quiet, f"Open {made.files['page']} in a browser; look at the takes and mend them: markerloom view {folder}")
     finish(report, [], {"frames": frames, "seed": seed}, {"frames": frames, "methods": made.scores})
 
 

@@ -66,7 +66,7 @@ def demo(folder: str | Path, *, frames: int = 200, seed: int = 0, progress: Prog
     filmed = min(max(frames // 4, 10), MOST_FILMED)
     whole_way = from_pixels(folder / "from_pixels", frames=filmed, seed=seed, progress=progress)
     files["trajectories"] = folder / "from_pixels" / "trajectories.c3d"
-    figure = to_skeleton(folder / "skeleton", frames=max(frames, LEAST_WALKED), seed=seed)
+    figure = to_skeleton(folder, frames=max(frames, LEAST_WALKED), seed=seed)
     files["motion"] = figure.files["motion"]
     write_page(files["page"], take, truth, answers, scores, whole_way, figure)
     return Demo(take, answers, scores, files, whole_way, figure)
