@@ -422,6 +422,43 @@ def test_a_camera_is_left_out_and_the_take_reconstructed_again(simulated: Path) 
     assert not any(d["excluded"] for d in dots())
 
 
+def test_the_rig_is_judged_and_compared(simulated: Path) -> None:
+    studio = Studio(ml.view(simulated))
+    studio.open()
+    found = studio.get("/accuracy")
+    cells = len(found["x_m"]) * len(found["y_m"]) * len(found["z_m"])
+    assert len(found["sigma_mm"]) == len(found["cameras"]) == cells
+    assert all((s < 0) == (c < 2) for s, c in zip(found["sigma_mm"], found["cameras"], strict=True))
+    assert 0.05 < found["median_mm"] < 2.0
+    refined = studio.get("/refined")
+    assert len(refined["cameras"]) == len(refined["moved_mm"]) == 8
+    # The simulated cameras stand where the calibration says: there is nothing to gain.
+    assert refined["after_px"] > 0.8 * refined["before_px"]
+    assert max(refined["moved_mm"].values()) < 20.0
+
+
+def test_video_lies_behind_its_dots(tmp_path: Path) -> None:
+    pytest.importorskip("av", reason="PyAV is not installed")
+    import cv2
+
+    scene = ml.make_scene("walk", frames=8, seed=1, cameras=3, image_width=320, image_height=256, focal_px=320.0)
+    made = ml.simulate(scene)
+    ml.save(made, tmp_path)
+    ml.save_videos(made, tmp_path)
+    studio = Studio(ml.view(tmp_path / "observations.parquet", calibration=tmp_path / "calibration.toml"))
+    studio.open()
+    camera = studio.get("")["cameras"][1]
+    assert camera["video"]
+    image = cv2.imdecode(np.frombuffer(studio.get("/video", camera=camera["id"], frame=5), np.uint8), 0)
+    assert image is not None
+    assert image.shape == (256, 320)
+    seen = next(c["dots"] for c in studio.get("/dots", frame=5)["cameras"] if c["camera"] == camera["id"])
+    bright = [int(image[round(d["y"]), round(d["x"])]) for d in seen]
+    assert np.median(bright) > 5 * (np.median(image) + 5)
+    assert "no video" in studio.get("/video", 422, camera="nobody", frame=5)["message"]
+    assert "no image" in studio.get("/video", 422, camera=camera["id"], frame=500)["message"]
+
+
 def test_marks_of_contacts_change_what_is_shown(simulated: Path) -> None:
     studio = Studio(ml.view(simulated))
     studio.open("/process")

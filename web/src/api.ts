@@ -1,6 +1,7 @@
 // Talking to the server: every call carries the token; what goes wrong comes back as words.
 
 import type {
+  AccuracyView,
   At,
   CoverageView,
   Done,
@@ -13,6 +14,7 @@ import type {
   Preview,
   Problem,
   ProjectView,
+  RefinedView,
   Series,
   SubjectView,
   Suggestion,
@@ -67,6 +69,7 @@ export const api = {
   take: (take: string) => get<TakeView>(of(take)),
   timeline: (take: string) => get<Timeline>(`${of(take)}/timeline`),
   chunk: (take: string, first: number, count: number) => bytes(`${of(take)}/chunk?first=${first}&count=${count}`),
+  overview: (take: string) => bytes(`${of(take)}/overview`),
   joints: (take: string, first: number, count: number) => bytes(`${of(take)}/joints?first=${first}&count=${count}`),
   series: (take: string, slot: number, first: number, last: number, bins: number) =>
     get<Series>(`${of(take)}/series?slot=${slot}&first=${first}&last=${last}&bins=${bins}`),
@@ -76,6 +79,8 @@ export const api = {
   video: async (take: string, camera: string, frame: number) =>
     (await send("GET", `${of(take)}/video?camera=${encodeURIComponent(camera)}&frame=${frame}`)).blob(),
   coverage: (take: string) => get<CoverageView[]>(`${of(take)}/coverage`),
+  accuracy: (take: string) => get<AccuracyView>(`${of(take)}/accuracy`),
+  refined: (take: string) => get<RefinedView>(`${of(take)}/refined`),
   why: (take: string, slot: number, frame: number) => get<Why>(`${of(take)}/why?slot=${slot}&frame=${frame}`),
   findings: (take: string) => get<Findings>(`${of(take)}/findings`),
   suggestions: (take: string, slot: number) => get<Suggestion[]>(`${of(take)}/suggestions?slot=${slot}`),

@@ -10,6 +10,9 @@ export class FrameStore {
   private loading = new Set<number>();
   private wanted: number[] = [];
   private generation = 0;
+  private overview: Chunk | null = null;
+  /** Of how many frames the overview has one. */
+  stride = 0;
 
   constructor(
     readonly chunkFrames: number,
@@ -24,8 +27,9 @@ export class FrameStore {
     const index = Math.floor(row / this.chunkFrames);
     const chunk = this.chunks.get(index);
     if (chunk === undefined) {
-      this.want(index);
-      return null;
+      const known = this.fromOverview(row);
+      if (known === null) this.want(index);
+      return known;
     }
     // What was looked at last is forgotten last.
     this.chunks.delete(index);
@@ -36,7 +40,20 @@ export class FrameStore {
   /** A frame, only where it is at hand. */
   peek(row: number): Frame | null {
     const chunk = this.chunks.get(Math.floor(row / this.chunkFrames));
-    return chunk !== undefined && row - chunk.first < chunk.frames ? frameOf(chunk, row) : null;
+    if (chunk === undefined) return this.fromOverview(row);
+    return row - chunk.first < chunk.frames ? frameOf(chunk, row) : null;
+  }
+
+  /** Every n-th frame of the whole take, to be at hand at once wherever one looks. */
+  addOverview(stride: number, buffer: ArrayBuffer): void {
+    this.overview = decode(buffer);
+    this.stride = stride;
+  }
+
+  private fromOverview(row: number): Frame | null {
+    if (this.overview === null || row % this.stride !== 0) return null;
+    const index = row / this.stride;
+    return index < this.overview.frames ? frameOf(this.overview, index) : null;
   }
 
   /** Ask for the chunk that comes next when playing. */
@@ -49,6 +66,7 @@ export class FrameStore {
   clear(): void {
     this.generation += 1;
     this.chunks.clear();
+    this.overview = null;
     this.loading.clear();
     this.wanted = [];
   }

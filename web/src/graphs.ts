@@ -3,6 +3,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { api } from "./api";
+import { h } from "./dom";
 import { main } from "./selection";
 import { drawn } from "./series";
 import * as state from "./state";
@@ -20,6 +21,7 @@ const COLORS = ["#d55e00", "#1aa67d", "#3d8fd1"];
 
 export class GraphView {
   private plot: uPlot | null = null;
+  private readonly playhead = h("div", { className: "playhead", hidden: true });
   private asked = 0;
 
   constructor(private readonly host: HTMLElement) {
@@ -29,7 +31,8 @@ export class GraphView {
       clearTimeout(wait);
       wait = setTimeout(() => this.load(), 60);
     });
-    state.row.on(() => this.plot?.redraw(false));
+    host.append(this.playhead);
+    after([state.row], () => this.movePlayhead());
     new ResizeObserver(() => this.plot?.setSize(this.size)).observe(host);
   }
 
@@ -66,6 +69,7 @@ export class GraphView {
   private clear(): void {
     this.plot?.destroy();
     this.plot = null;
+    this.movePlayhead();
     this.host.dataset.empty = "Select a marker to see its graphs.";
   }
 
@@ -89,7 +93,7 @@ export class GraphView {
           { label: "frame", value: (_, v) => (v === null ? "–" : String(Math.floor(v))) },
           ...names.map((label, i) => ({ label, stroke: COLORS[i], width: 1.2, points: { show: false } })),
         ],
-        hooks: { draw: [(u) => this.drawPlayhead(u)], ready: [(u) => this.listen(u)] },
+        hooks: { draw: [() => this.movePlayhead()], ready: [(u) => this.listen(u)] },
       },
       drawn(series, names) as uPlot.AlignedData,
       this.host,
@@ -102,11 +106,17 @@ export class GraphView {
     });
   }
 
-  private drawPlayhead(plot: uPlot): void {
-    const x = plot.valToPos(state.frameNumber() + 0.5, "x", true);
-    const { left, top, width, height } = plot.bbox;
-    if (x < left || x > left + width) return;
-    plot.ctx.fillStyle = css("--playhead");
-    plot.ctx.fillRect(x - 1, top, 2, height);
+  private movePlayhead(): void {
+    const plot = this.plot;
+    this.playhead.hidden = true;
+    if (plot === null) return;
+    const x = plot.valToPos(state.frameNumber() + 0.5, "x");
+    const over = plot.over.getBoundingClientRect();
+    const host = this.host.getBoundingClientRect();
+    if (!(x >= 0 && x <= over.width)) return;
+    this.playhead.hidden = false;
+    this.playhead.style.top = `${over.top - host.top}px`;
+    this.playhead.style.height = `${over.height}px`;
+    this.playhead.style.transform = `translateX(${over.left - host.left + x - 1}px)`;
   }
 }

@@ -1,6 +1,7 @@
 // The 2D view of one camera: its image, masks, centroids, reprojections, and how far those are apart.
 
 import { api } from "./api";
+import { drawSoon } from "./schedule";
 import * as state from "./state";
 import { after } from "./store";
 import { css, markerColor } from "./theme";
@@ -18,6 +19,7 @@ export class ImageView {
   private imageOf = "";
   private asked = "";
   private busy = false;
+  private readonly renderNow = () => this.render();
 
   constructor(private readonly host: HTMLElement) {
     this.canvas.setAttribute("aria-label", "Image of the camera: centroids and reprojections");
@@ -166,6 +168,10 @@ export class ImageView {
   }
 
   draw(): void {
+    drawSoon(this.renderNow);
+  }
+
+  private render(): void {
     const context = this.context;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = css("--stage");

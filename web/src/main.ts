@@ -31,6 +31,7 @@ const COLORS = {
 const TOGGLES = {
   names: "names",
   trails: "trail",
+  path: "whole path",
   links: "links",
   skeleton: "skeleton",
   cameras: "cameras",
@@ -64,6 +65,8 @@ function connectViews(view: View3D | null): void {
     shape = now;
   });
   after([take, row, selection, options, loaded, why, preview, joints], () => view?.draw());
+  state.accuracy.on(() => view?.showAccuracy());
+  state.refined.on(() => view?.showRefined());
   onPick((slot, add) => {
     if (slot !== null) selection.update((s) => chosen(s, slot, add));
     else if (!add) selection.set([]);
@@ -247,16 +250,19 @@ function drawStatus(): void {
 }
 
 function drawTakes(): void {
-  const host = element("takes");
-  state.project.on((project) => {
+  after([state.project, state.take], () => {
+    const project = state.project.get();
     if (project === null) return;
     document.title = `${project.name} · markerloom`;
     element("project").textContent = project.name;
     const choices = Object.fromEntries(project.takes.map((t) => [t.name, t.name]));
-    const present = state.take.get()?.name ?? project.takes[0].name;
-    fill(host, project.takes.length > 1 && select("Take", choices, present, (name) => void open(name)));
+    const present = state.take.get()?.name ?? wantedTake() ?? project.takes[0].name;
+    fill(element("takes"), project.takes.length > 1 && select("Take", choices, present, (name) => void open(name)));
   });
 }
+
+/** The take that the address names. */
+const wantedTake = () => new URLSearchParams(location.search).get("take");
 
 async function open(name: string): Promise<void> {
   try {
@@ -341,13 +347,12 @@ async function start(): Promise<void> {
   new GraphView(element("graphs"));
   new Player();
   listenToKeys();
-  // For measurements: how often the 3D view was drawn.
-  Object.assign(window, { markerloom: { drawn: () => view?.drawn ?? 0, state } });
+  // For measurements: how many frames the 3D view has drawn.
+  Object.assign(window, { markerloom: { drawn: () => view?.drawn ?? 0, state, view } });
   try {
     const project = await api.project();
     state.project.set(project);
-    const wanted = new URLSearchParams(location.search).get("take");
-    const first = project.takes.find((t) => t.name === wanted) ?? project.takes[0];
+    const first = project.takes.find((t) => t.name === wantedTake()) ?? project.takes[0];
     listen((notice) => void told(notice), state.online.set);
     await open(first.name);
   } catch (error) {

@@ -29,6 +29,8 @@ async function opened(name: string, how: (take: string) => Promise<TakeInfo>): P
   if (info.state === "failed") throw new Error(info.message);
   const fresh = state.take.get()?.name !== name;
   if (fresh) {
+    state.accuracy.set(null);
+    state.refined.set(null);
     state.selection.set([]);
     state.range.set(null);
     state.row.set(0);
@@ -52,7 +54,14 @@ export async function refresh(name: string): Promise<void> {
   state.preview.set(null);
   state.goTo(state.row.get());
   state.loaded.update((n) => n + 1);
-  lookForFindings(take);
+  // The first frames come first.
+  setTimeout(() => lookForFindings(take), 500);
+  const frames = state.frames.get();
+  if (take.trajectories.length > 0 && take.overview_stride > 1)
+    api.overview(take.name).then(
+      (b) => frames?.addOverview(take.overview_stride, b),
+      () => {},
+    );
 }
 
 function store(take: TakeView, size: number, load: typeof api.chunk): FrameStore {

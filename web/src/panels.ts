@@ -7,7 +7,7 @@ import { openTake } from "./open";
 import * as state from "./state";
 import { after } from "./store";
 import { FINDING_COLORS, heat } from "./theme";
-import type { CoverageView, Finding } from "./wire";
+import type { AccuracyView, CoverageView, Finding, RefinedView } from "./wire";
 
 const FINDINGS: Record<string, string> = {
   gap: "gap",
@@ -145,11 +145,13 @@ async function run(name: string): Promise<void> {
 export class CamerasPanel {
   private readonly map = h("div");
   private readonly tools = h("div");
+  private readonly worth = h("div");
   private coverage: CoverageView[] = [];
   private of = "";
 
   constructor(host: HTMLElement) {
-    host.append(this.tools, this.map);
+    host.append(this.tools, this.map, this.worth);
+    after([state.take, state.accuracy, state.refined], () => this.drawWorth());
     after([state.take, state.camera, state.range, state.chosenDot, state.region], () => this.draw());
   }
 
@@ -198,6 +200,93 @@ export class CamerasPanel {
         ),
     );
     void this.drawCoverage(take.name, take.revision, take.has_dots);
+  }
+
+  /** What the rig is worth, and where its cameras would stand if they were adjusted to the take. */
+  private drawWorth(): void {
+    const take = state.take.get();
+    if (take === null || take.cameras.length === 0) return fill(this.worth);
+    const [accuracy, refined] = [state.accuracy.get(), state.refined.get()];
+    fill(
+      this.worth,
+      h("h3", {}, "Expected accuracy in the volume"),
+      accuracy === null
+        ? button("Show the map", () => this.askAccuracy(take.name), { id: "show-accuracy" })
+        : this.layers(accuracy.map, accuracy.layer),
+      take.has_dots && h("h3", {}, "Cameras adjusted to this take"),
+      take.has_dots &&
+        (refined === null
+          ? button("Compare", () => this.askRefined(take.name), { id: "show-refined" })
+          : this.comparison(refined)),
+    );
+  }
+
+  private askAccuracy(name: string): void {
+    state.say("The map is being computed …");
+    api.accuracy(name).then((map) => {
+      state.accuracy.set({ map, layer: Math.floor(map.z_m.length / 2) });
+      state.say(`Expected error where three cameras see a marker: ${map.median_mm.toFixed(3)} mm (median)`);
+    }, state.complain);
+  }
+
+  private layers(map: AccuracyView, layer: number): HTMLElement {
+    const height = h("input", {
+      type: "range",
+      min: "0",
+      max: String(map.z_m.length - 1),
+      value: String(layer),
+      "aria-label": "Height of the layer",
+      oninput: () => state.accuracy.set({ map, layer: Number(height.value) }),
+    });
+    return h(
+      "div",
+      {},
+      h(
+        "div",
+        { className: "line" },
+        `${map.z_m[layer].toFixed(2)} m`,
+        height,
+        button("Hide", () => state.accuracy.set(null)),
+      ),
+      h(
+        "p",
+        { className: "muted" },
+        `Dark: good. ${map.median_mm.toFixed(3)} mm (median), for dots with ${map.noise_px.toFixed(2)} px of noise.`,
+      ),
+    );
+  }
+
+  private askRefined(name: string): void {
+    state.say("The cameras are being adjusted …");
+    api.refined(name).then((refined) => {
+      state.refined.set(refined);
+      state.say(`Residual on frames left out: ${refined.before_px.toFixed(3)} → ${refined.after_px.toFixed(3)} px`);
+    }, state.complain);
+  }
+
+  private comparison(refined: RefinedView): HTMLElement {
+    const rows = Object.entries(refined.moved_mm).map(([camera, moved]) =>
+      h(
+        "tr",
+        {},
+        h("td", {}, camera),
+        h("td", {}, moved.toFixed(2)),
+        h("td", {}, (refined.turned_deg[camera] ?? 0).toFixed(3)),
+      ),
+    );
+    return h(
+      "div",
+      {},
+      h(
+        "p",
+        {},
+        `Residual on frames left out: ${refined.before_px.toFixed(3)} → ${refined.after_px.toFixed(3)} px rms (${refined.verdict}).`,
+      ),
+      ...refined.reasons.map((r) => h("p", { className: "warning" }, r)),
+      h("table", {}, h("tr", {}, h("th", {}, "camera"), h("th", {}, "moved mm"), h("th", {}, "turned °")), ...rows),
+      h("p", { className: "muted" }, "Nothing was written: `markerloom calibrate refine` writes the adjusted cameras."),
+      button("Hide", () => state.refined.set(null)),
+    );
   }
 
   /** Where in its image each camera saw something over the whole take. */

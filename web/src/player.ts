@@ -1,10 +1,12 @@
 // Playing: the frame that is due by the clock; where it is not at hand yet, the last one stays.
 
+import { tickSoon } from "./schedule";
 import * as state from "./state";
 
 export class Player {
   private from = 0;
   private since = 0;
+  private readonly tickNow = () => this.tick();
 
   constructor() {
     state.playing.on((on) => on && this.start());
@@ -16,7 +18,7 @@ export class Player {
     if (state.row.get() >= bounds.last || state.row.get() < bounds.first) state.goTo(bounds.first);
     this.from = state.row.get();
     this.since = performance.now();
-    requestAnimationFrame(() => this.tick());
+    tickSoon(this.tickNow);
   }
 
   /** The selected frames, or the whole take. */
@@ -45,6 +47,6 @@ export class Player {
       state.frames.get()?.ahead(due);
       state.joints.get()?.ahead(due);
     }
-    requestAnimationFrame(() => this.tick());
+    tickSoon(this.tickNow);
   }
 }

@@ -8,6 +8,7 @@ import {
   Color,
   ConeGeometry,
   DirectionalLight,
+  DoubleSide,
   DynamicDrawUsage,
   GridHelper,
   Group,
@@ -16,8 +17,10 @@ import {
   LineBasicMaterial,
   LineSegments,
   Matrix4,
+  MeshBasicMaterial,
   MeshLambertMaterial,
   PerspectiveCamera,
+  PlaneGeometry,
   Quaternion,
   Scene,
   Vector3,
@@ -25,11 +28,13 @@ import {
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { ABSENT } from "./chunk";
+import { drawSoon } from "./schedule";
 import * as state from "./state";
 import { css, heat, KIND_COLORS, markerColor } from "./theme";
 import type { CameraView } from "./wire";
 
 const TRAIL_FRAMES = 120;
+const MOST_OF_PATH = 4000;
 const FRUSTUM_M = 0.35;
 const PICKED_PX = 14;
 const SPREAD_MM = 5;
@@ -73,6 +78,15 @@ class Lines {
   }
 }
 
+/** Whether there is no graphics processor: then less is drawn, so that it is drawn in time. */
+function drawnBySoftware(): boolean {
+  const context = document.createElement("canvas").getContext("webgl2");
+  const told = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = told ? String(context!.getParameter(told.UNMASKED_RENDERER_WEBGL)) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
 export class View3D {
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
@@ -86,12 +100,19 @@ export class View3D {
   private readonly frusta = new Lines("#8fa3b5", 0.8);
   private readonly links = new Lines("#8fa3b5", 0.55);
   private readonly trails = new Lines("#56b4e9", 0.8);
+  private readonly path = new Lines("#9a7fd1", 0.7);
+  private pathOf = "";
   private readonly rays = new Lines("#f0e442", 0.9);
+  private readonly refined = new Lines("#d55e00");
+  private cells: InstancedMesh | null = null;
   private readonly ghost = new Lines("#1aa67d");
-  private due = false;
+  private readonly renderNow = () => this.render();
   private fitted = "";
   private middle = new Vector3();
+  /** How many frames of the take were drawn with their samples: for measurements. */
   drawn = 0;
+  private readonly detail: number;
+  private named = false;
 
   /** Throws where the browser has no WebGL. */
   constructor(private readonly host: HTMLElement) {
@@ -100,8 +121,10 @@ export class View3D {
     const text = document.createElement("canvas");
     text.className = "overlay";
     text.setAttribute("aria-hidden", "true");
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const software = drawnBySoftware();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, powerPreference: "high-performance" });
+    this.renderer.setPixelRatio(software ? 1 : Math.min(devicePixelRatio, 2));
+    this.detail = software ? 1 : 2;
     host.append(canvas, text);
     this.overlay = text.getContext("2d")!;
     this.eye.up.set(0, 0, 1);
@@ -112,7 +135,8 @@ export class View3D {
     const sun = new DirectionalLight("#ffffff", 2.2);
     sun.position.set(2, -3, 5);
     this.scene.add(new AmbientLight("#ffffff", 1.6), sun, this.world);
-    for (const lines of [this.frusta, this.links, this.trails, this.rays, this.ghost]) this.world.add(lines.object);
+    for (const lines of [this.frusta, this.links, this.trails, this.path, this.rays, this.ghost, this.refined])
+      this.world.add(lines.object);
     const axes = new AxesHelper(0.3);
     this.world.add(axes);
     new ResizeObserver(() => this.resize()).observe(host);
@@ -122,12 +146,7 @@ export class View3D {
 
   /** Draw soon, however often it is asked for. */
   draw(): void {
-    if (this.due) return;
-    this.due = true;
-    requestAnimationFrame(() => {
-      this.due = false;
-      this.render();
-    });
+    drawSoon(this.renderNow);
   }
 
   /** The floor, the cameras and the room for markers of another take. */
@@ -140,8 +159,11 @@ export class View3D {
     this.markers = this.bones = null;
     if (take === null) return;
     const slots = Math.max(take.trajectories.length, 1);
-    const detail = slots > 200 ? 1 : 2;
-    this.markers = new InstancedMesh(new IcosahedronGeometry(1, detail), new MeshLambertMaterial(), slots);
+    this.markers = new InstancedMesh(
+      new IcosahedronGeometry(1, slots > 200 ? this.detail - 1 : this.detail),
+      new MeshLambertMaterial(),
+      slots,
+    );
     this.markers.instanceMatrix.setUsage(DynamicDrawUsage);
     this.markers.frustumCulled = false;
     this.markers.setColorAt(0, new Color());
@@ -154,7 +176,7 @@ export class View3D {
       this.bones.frustumCulled = false;
       this.world.add(this.bones);
     }
-    this.drawFrusta(take.cameras);
+    drawFrusta(this.frusta, take.cameras);
     this.theme();
   }
 
@@ -207,25 +229,43 @@ export class View3D {
     return found;
   }
 
-  private drawFrusta(cameras: readonly CameraView[]): void {
-    this.frusta.begin();
-    for (const camera of cameras) {
-      const at = new Vector3(...camera.position_m);
-      const [right, down, forward] = camera.axes.map((a) => new Vector3(...a));
-      const corner = (sx: number, sy: number) =>
-        at
-          .clone()
-          .addScaledVector(forward, FRUSTUM_M)
-          .addScaledVector(right, (sx * 0.5 * camera.size_px[0] * FRUSTUM_M) / camera.focal_px[0])
-          .addScaledVector(down, (sy * 0.5 * camera.size_px[1] * FRUSTUM_M) / camera.focal_px[1]);
-      const corners = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
-      corners.forEach((c, i) => {
-        const next = corners[(i + 1) % 4];
-        this.frusta.add(at.x, at.y, at.z, c.x, c.y, c.z);
-        this.frusta.add(c.x, c.y, c.z, next.x, next.y, next.z);
-      });
+  /** Where the cameras would stand after adjusting them to the take, in another colour. */
+  showRefined(): void {
+    drawFrusta(this.refined, state.refined.get()?.cameras ?? []);
+    this.draw();
+  }
+
+  /** A layer of the planner's map: a square for each cell that two cameras see, from dark (good) to light (bad). */
+  showAccuracy(): void {
+    this.cells?.removeFromParent();
+    this.cells?.dispose();
+    this.cells = null;
+    const shown = state.accuracy.get();
+    if (shown !== null) {
+      const { map, layer } = shown;
+      const [nx, ny, nz] = [map.x_m.length, map.y_m.length, map.z_m.length];
+      const step = nx > 1 ? map.x_m[1] - map.x_m[0] : 0.2;
+      const material = new MeshBasicMaterial({ transparent: true, opacity: 0.55, side: DoubleSide, depthWrite: false });
+      const mesh = new InstancedMesh(new PlaneGeometry(0.94 * step, 0.94 * step), material, nx * ny);
+      const matrix = new Matrix4();
+      const color = new Color();
+      let used = 0;
+      for (let i = 0; i < nx; i += 1) {
+        for (let j = 0; j < ny; j += 1) {
+          const sigma = map.sigma_mm[(i * ny + j) * nz + layer];
+          if (sigma < 0) continue;
+          matrix.makeTranslation(map.x_m[i], map.y_m[j], map.z_m[layer]);
+          mesh.setMatrixAt(used, matrix);
+          mesh.setColorAt(used, color.set(heat(sigma / (4 * map.median_mm || 1))));
+          used += 1;
+        }
+      }
+      mesh.count = used;
+      mesh.frustumCulled = false;
+      this.world.add(mesh);
+      this.cells = mesh;
     }
-    this.frusta.end();
+    this.draw();
   }
 
   private resize(): void {
@@ -258,7 +298,6 @@ export class View3D {
     }
     this.renderer.render(this.scene, this.eye);
     this.writeNames();
-    this.drawn += 1;
   }
 
   /** The first time a take is drawn it is fitted; later the eye goes along, where that is wished. */
@@ -305,6 +344,8 @@ export class View3D {
       else color.set(markerColor(one?.color ?? "", one?.label ?? "", i));
       mesh.setColorAt(i, color);
     }
+    if (state.drawnRow.get() !== state.row.get()) this.drawn += 1;
+    state.drawnRow.set(state.row.get());
     mesh.count = slots;
     mesh.instanceMatrix.needsUpdate = true;
     if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
@@ -385,6 +426,29 @@ export class View3D {
       }
     }
     this.trails.end();
+    this.updatePath(selected);
+  }
+
+  /** The way of the selected markers through the whole take, such as that of a wand, by every n-th frame. */
+  private updatePath(selected: readonly number[]): void {
+    const key = `${selected.join()} ${state.loaded.get()} ${state.options.get().path}`;
+    if (key === this.pathOf) return;
+    this.pathOf = key;
+    this.path.begin();
+    const store = state.frames.get();
+    const total = state.take.get()!.frames;
+    const stride = Math.max(store?.stride ?? 0, Math.ceil(total / MOST_OF_PATH));
+    for (const slot of state.options.get().path && store ? selected : []) {
+      let before: Float32Array | null = null;
+      for (let r = 0; r < total; r += stride) {
+        const here = store!.peek(r)?.xyz.subarray(3 * slot, 3 * slot + 3) ?? null;
+        const there = here !== null && here.length === 3 && !Number.isNaN(here[0]);
+        if (there && before)
+          this.path.add(before[0] / 1e3, before[1] / 1e3, before[2] / 1e3, here[0] / 1e3, here[1] / 1e3, here[2] / 1e3);
+        before = there ? here : null;
+      }
+    }
+    this.path.end();
   }
 
   private updateRays(): void {
@@ -450,11 +514,13 @@ export class View3D {
   private writeNames(): void {
     const context = this.overlay;
     const { width, height } = context.canvas;
-    context.clearRect(0, 0, width, height);
     const take = state.take.get();
     const all = state.options.get().names;
     const selected = new Set(state.selection.get());
-    if (take === null || (!all && selected.size === 0)) return;
+    const wanted = take !== null && (all || selected.size > 0);
+    if (wanted || this.named) context.clearRect(0, 0, width, height);
+    this.named = wanted;
+    if (!wanted) return;
     context.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
     context.lineWidth = 3 * devicePixelRatio;
     context.strokeStyle = css("--stage");
@@ -467,6 +533,28 @@ export class View3D {
       context.fillText(name, px, py);
     }
   }
+}
+
+/** Cameras as pyramids of what they see, half an arm long. */
+function drawFrusta(lines: Lines, cameras: readonly CameraView[]): void {
+  lines.begin();
+  for (const camera of cameras) {
+    const at = new Vector3(...camera.position_m);
+    const [right, down, forward] = camera.axes.map((a) => new Vector3(...a));
+    const corner = (sx: number, sy: number) =>
+      at
+        .clone()
+        .addScaledVector(forward, FRUSTUM_M)
+        .addScaledVector(right, (sx * 0.5 * camera.size_px[0] * FRUSTUM_M) / camera.focal_px[0])
+        .addScaledVector(down, (sy * 0.5 * camera.size_px[1] * FRUSTUM_M) / camera.focal_px[1]);
+    const corners = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
+    corners.forEach((c, i) => {
+      const next = corners[(i + 1) % 4];
+      lines.add(at.x, at.y, at.z, c.x, c.y, c.z);
+      lines.add(c.x, c.y, c.z, next.x, next.y, next.z);
+    });
+  }
+  lines.end();
 }
 
 let picked: (slot: number | null, add: boolean) => void = () => {};

@@ -2,9 +2,10 @@
 
 import type { FrameStore } from "./frames";
 import type { Runs, Window } from "./runs";
+import { afterDrawing } from "./schedule";
 import type { Selection } from "./selection";
 import { signal } from "./store";
-import type { DotsView, Findings, Preview, ProjectView, TakeView, Why } from "./wire";
+import type { AccuracyView, DotsView, Findings, Preview, ProjectView, RefinedView, TakeView, Why } from "./wire";
 
 export type ColorBy = "label" | "kind" | "residual" | "confidence";
 
@@ -12,6 +13,7 @@ export interface Options {
   colorBy: ColorBy;
   names: boolean;
   trails: boolean;
+  path: boolean;
   links: boolean;
   skeleton: boolean;
   cameras: boolean;
@@ -28,6 +30,7 @@ const DEFAULTS: Options = {
   colorBy: "label",
   names: false,
   trails: true,
+  path: false,
   links: true,
   skeleton: true,
   cameras: true,
@@ -56,6 +59,8 @@ export const frames = signal<FrameStore | null>(null);
 export const joints = signal<FrameStore | null>(null);
 export const loaded = signal(0);
 export const row = signal(0);
+/** The frame that the 3D view has drawn with its samples; none where there is no 3D view. */
+export const drawnRow = signal<number | null>(null);
 export const playing = signal(false);
 export const speed = signal(1);
 export const looping = signal(true);
@@ -70,6 +75,9 @@ export const chosenDot = signal<{ camera: string; frame: number; x: number; y: n
 export const region = signal<{ camera: string; low: [number, number]; high: [number, number] } | null>(null);
 export const why = signal<Why | null>(null);
 export const preview = signal<Preview | null>(null);
+/** The planner's map, and the height of the layer that is shown. */
+export const accuracy = signal<{ map: AccuracyView; layer: number } | null>(null);
+export const refined = signal<RefinedView | null>(null);
 export const online = signal(true);
 /** While the page itself changes the take: what the server tells of that is no news. */
 export const busy = signal(0);
@@ -92,7 +100,31 @@ export const frameNumber = () => row.get() + (take.get()?.first_frame ?? 0);
 /** Trajectories that have samples. */
 export const present = () => (take.get()?.trajectories ?? []).filter((t) => t.samples > 0);
 
-export function goTo(wanted: number): void {
+const PATIENCE_MS = 250;
+let wanted: number | null = null;
+
+/** Go to a frame that is pointed at again and again: the next one only when the last one was drawn, so that it is seen. */
+export function scrubTo(target: number): void {
+  const idle = wanted === null;
+  wanted = target;
+  if (idle) follow(0);
+}
+
+function follow(since: number): void {
+  const there = drawnRow.get() === row.get() || (drawnRow.get() === null && frames.get()?.get(row.get()) !== null);
+  const late = performance.now() - since > PATIENCE_MS;
+  if (wanted !== null && (there || late)) {
+    if (wanted === row.get()) {
+      wanted = null;
+      return;
+    }
+    goTo(wanted);
+    since = performance.now();
+  }
+  afterDrawing(() => follow(since));
+}
+
+export function goTo(target: number): void {
   const total = take.get()?.frames ?? 0;
-  row.set(Math.min(Math.max(Math.round(wanted), 0), Math.max(total - 1, 0)));
+  row.set(Math.min(Math.max(Math.round(target), 0), Math.max(total - 1, 0)));
 }

@@ -1,6 +1,8 @@
 // The timeline: a ruler, and a row for every trajectory that shows what its samples are (figure 12 of Lee et al. 2000).
 
+import { h } from "./dom";
 import { moved, showing, stretches, zoomed } from "./runs";
+import { drawSoon } from "./schedule";
 import { chosen } from "./selection";
 import * as state from "./state";
 import { after } from "./store";
@@ -16,19 +18,22 @@ const HEIGHTS = [0.8, 0.34, 0.56, 0.8];
 export class TimelineView {
   private readonly canvas = document.createElement("canvas");
   private readonly context = this.canvas.getContext("2d")!;
+  private readonly playhead = h("div", { className: "playhead" });
   private top = 0;
-  private due = false;
+  private readonly renderNow = () => this.render();
 
   constructor(private readonly host: HTMLElement) {
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "slider");
     this.canvas.setAttribute("aria-label", "Frame");
-    host.append(this.canvas);
-    new ResizeObserver(() => this.draw()).observe(host);
+    host.append(this.canvas, this.playhead);
+    new ResizeObserver(() => this.resize()).observe(host);
     this.canvas.addEventListener("wheel", (e) => this.wheel(e), { passive: false });
     this.canvas.addEventListener("pointerdown", (e) => this.press(e));
     const { row, runs, selection, range, shown, findings, take, options } = state;
-    after([row, runs, selection, range, shown, findings, take, options], () => this.draw());
+    // The frame moves an element of its own: what lies below is drawn only when that changes.
+    after([row, shown, take], () => this.movePlayhead());
+    after([runs, selection, range, shown, findings, take, options], () => this.draw());
     row.on(() => {
       const total = take.get()?.frames ?? 1;
       shown.update((w) => showing(w, row.get(), total));
@@ -48,6 +53,12 @@ export class TimelineView {
 
   private rowAt(x: number): number {
     return Math.floor(state.shown.get().low + (x - NAMES) / this.perRow);
+  }
+
+  /** Where many frames share a pixel, one of them that is at hand at once. */
+  private scrub(row: number): void {
+    const stride = state.frames.get()?.stride ?? 0;
+    state.scrubTo(stride > 1 && stride * this.perRow <= 1 ? Math.round(row / stride) * stride : row);
   }
 
   private xOf(row: number): number {
@@ -90,12 +101,12 @@ export class TimelineView {
     const scrubbing = y < RULER + MARKS && x >= NAMES;
     const start = this.rowAt(x);
     const total = state.take.get()?.frames ?? 1;
-    if (scrubbing) state.goTo(start);
+    if (scrubbing) this.scrub(start);
     else this.pick(y, add);
     const move = (event: PointerEvent) => {
       const row = this.rowAt(event.clientX - box.left);
       if (scrubbing) {
-        state.goTo(row);
+        this.scrub(row);
       } else if (x >= NAMES && Math.abs(event.clientX - down.clientX) > 3) {
         const [first, last] = [Math.max(Math.min(start, row), 0), Math.min(Math.max(start, row), total - 1)];
         state.range.set({ first, last });
@@ -116,20 +127,13 @@ export class TimelineView {
   }
 
   draw(): void {
-    if (this.due) return;
-    this.due = true;
-    requestAnimationFrame(() => {
-      this.due = false;
-      this.render();
-    });
+    drawSoon(this.renderNow);
   }
 
   private render(): void {
     const { clientWidth: width, clientHeight: height } = this.host;
     const context = this.context;
-    this.canvas.width = width * devicePixelRatio;
-    this.canvas.height = height * devicePixelRatio;
-    context.scale(devicePixelRatio, devicePixelRatio);
+    context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     context.fillStyle = css("--panel");
     context.fillRect(0, 0, width, height);
     const take = state.take.get();
@@ -140,11 +144,19 @@ export class TimelineView {
     this.drawRows(width, height);
     this.drawRuler(width, take.first_frame);
     this.drawMarks(take.first_frame);
-    const x = this.xOf(state.row.get() + 0.5);
-    if (x >= NAMES) {
-      context.fillStyle = css("--playhead");
-      context.fillRect(Math.round(x) - 1, 0, 2, height);
-    }
+  }
+
+  private movePlayhead(): void {
+    const x = Math.round(this.xOf(state.row.get() + 0.5)) - 1;
+    this.playhead.hidden = x < NAMES || x > this.host.clientWidth;
+    this.playhead.style.transform = `translateX(${x}px)`;
+  }
+
+  private resize(): void {
+    this.canvas.width = this.host.clientWidth * devicePixelRatio;
+    this.canvas.height = this.host.clientHeight * devicePixelRatio;
+    this.movePlayhead();
+    this.draw();
   }
 
   private drawRange(height: number): void {

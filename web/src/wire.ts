@@ -1,6 +1,20 @@
 // Generated from python/markerloom/studio/messages.py by `python -m markerloom.studio.wire`: do not edit.
 
 /**
+ * What a rig is worth: cells (x slowest, z fastest) with the cameras that see them and the expected error (mm, −1
+ * where fewer than two cameras do), for dots with this noise (px).
+ */
+export interface AccuracyView {
+  x_m: number[];
+  y_m: number[];
+  z_m: number[];
+  cameras: number[];
+  sigma_mm: number[];
+  noise_px: number;
+  median_mm: number;
+}
+
+/**
  * A trajectory, by its place (mm, world, Z up) in a frame.
  */
 export interface At {
@@ -299,6 +313,19 @@ export interface RayView {
 }
 
 /**
+ * A rig adjusted to the take: residuals (px rms) on frames left out, before and after, and where the cameras go.
+ */
+export interface RefinedView {
+  verdict: string;
+  reasons: string[];
+  before_px: number;
+  after_px: number;
+  cameras: CameraView[];
+  moved_mm: Record<string, number>;
+  turned_deg: Record<string, number>;
+}
+
+/**
  * Where a camera must see a trajectory (px).
  */
 export interface ReprojectionView {
@@ -423,6 +450,7 @@ export interface TakeView {
   suggested_names: string[];
   warnings: string[];
   chunk_frames: number;
+  overview_stride: number;
   export_name: string;
 }
 

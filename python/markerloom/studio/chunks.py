@@ -22,6 +22,8 @@ SIGMAS, RESIDUALS, KINDS = 1, 2, 4
 BYTES = 1 << 19
 """A chunk is about so large."""
 PER_SAMPLE = 21
+OVERVIEW_BYTES = 1 << 22
+"""Every n-th frame of a take, as far as they fit into this: for finding one's way at once."""
 
 
 def frames_of(slots: int) -> int:
@@ -30,15 +32,26 @@ def frames_of(slots: int) -> int:
     return int(min(1024, max(8, 1 << int(np.log2(max(wanted, 1))))))
 
 
-def of_sheet(sheet: Sheet, first: int, count: int, revision: int) -> bytes:
-    """Rows ``first`` to before ``first + count`` of all trajectories, as far as the take has them."""
+def overview_stride(slots: int, frames: int) -> int:
+    """Of how many frames the overview has one."""
+    fitting = max(OVERVIEW_BYTES // (PER_SAMPLE * max(slots, 1)), 64)
+    return max(1, -(-frames // fitting))
+
+
+def overview(sheet: Sheet, revision: int) -> bytes:
+    """Every n-th row of the whole take; ``first`` and the frames of its header count these."""
+    return of_sheet(sheet, 0, sheet.count, revision, overview_stride(len(sheet.trajectories), sheet.count))
+
+
+def of_sheet(sheet: Sheet, first: int, count: int, revision: int, stride: int = 1) -> bytes:
+    """Rows ``first`` to before ``first + count`` of all trajectories, as far as the take has them; every n-th of them."""
     low, high = max(first, 0), max(min(first + count, sheet.count), 0)
     trajectories = sheet.trajectories
-    n, slots = max(high - low, 0), len(trajectories)
+    n, slots = len(range(low, high, stride)), len(trajectories)
     shape = (n, slots)
     xyz, kinds = np.empty((*shape, 3), "<f4"), np.empty(shape, np.int8)
     sigmas, residuals = np.empty(shape, "<f4"), np.empty(shape, "<f4")
-    part = slice(low, high)
+    part = slice(low, max(low, high), stride)
     for i, one in enumerate(trajectories):
         samples = one.samples
         xyz[:, i], kinds[:, i] = samples["xyz_mm"][part], samples["kind"][part]

@@ -43,7 +43,7 @@ def view(
     if not quiet:
         typer.echo(f"{workspace.project.name}: {url}\nCtrl-C ends it.")
     config = uvicorn.Config(
-        make_server(workspace, token, page), log_level="error", timeout_graceful_shutdown=1, access_log=False
+        make_server(workspace, token, page), log_level="critical", timeout_graceful_shutdown=1, access_log=False
     )
     if browser:
         threading.Timer(0.5, webbrowser.open, [url]).start()

@@ -23,8 +23,9 @@ from markerloom.subjects.names import split_prefix
 Array = NDArray[Any]
 RATE_HZ = 100.0
 """Of takes that do not say theirs: for playing only."""
-SAMPLED = 240
-"""Frames looked at to see which markers go together."""
+SAMPLED, GLANCES = 240, 8
+"""Frames looked at to see which markers go together, and of those to see which are near each other at all."""
+NEIGHBOURS = 12
 LINKS_EACH = 3
 RIGID_MM = 6.0
 """Markers are shown as linked whose distance varies less than this (robust standard deviation)."""
@@ -57,8 +58,8 @@ def take_view(take: OpenTake) -> messages.TakeView:
             )
             for i, one in enumerate(sheet.trajectories)
         ],
-        links=take.remembered("links", lambda: _links(take)),
-        cameras=[_camera(take, c) for c in (take.rig.cameras if take.rig else ())],
+        links=_known_links(take),
+        cameras=[camera_view(c, video=video_of(take, c) is not None) for c in (take.rig.cameras if take.rig else ())],
         has_dots=take.has_dots,
         dots_pending=take.dots_pending,
         residual_unit=take.residual_unit,  # pyright: ignore[reportArgumentType]
@@ -72,6 +73,7 @@ def take_view(take: OpenTake) -> messages.TakeView:
         suggested_names=names,
         warnings=warnings,
         chunk_frames=chunks.frames_of(len(sheet.trajectories)),
+        overview_stride=chunks.overview_stride(len(sheet.trajectories), sheet.count),
         export_name=f"{settings.name}-mended.c3d",
     )
 
@@ -93,7 +95,8 @@ def _known_markers(take: OpenTake) -> tuple[dict[str, str], list[str]]:
     return colors, sorted(set(names))
 
 
-def _camera(take: OpenTake, camera: Camera) -> messages.CameraView:
+def camera_view(camera: Camera, *, video: bool = False) -> messages.CameraView:
+    """A camera to be drawn."""
     turn = np.asarray(camera.rotation)
     masked: list[tuple[float, float, float, float]] = []
     if camera.mask is not None:
@@ -110,7 +113,7 @@ def _camera(take: OpenTake, camera: Camera) -> messages.CameraView:
         size_px=camera.size_px,
         focal_px=camera.focal_px,
         masked=masked,
-        video=video_of(take, camera) is not None,
+        video=video,
     )
 
 
@@ -122,28 +125,47 @@ def _typical_residual(sheet: Sheet) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def _links(take: OpenTake) -> list[tuple[int, int]]:
+def _links(sheet: Sheet) -> list[tuple[int, int]]:
     """Pairs of markers to join by lines: those that keep their distance best, a few for each."""
-    named = [i for i, t in enumerate(take.sheet.trajectories) if t.label]
+    named = [i for i, t in enumerate(sheet.trajectories) if t.label]
     if len(named) < 2:
         return []
-    step = max(1, take.sheet.count // SAMPLED)
-    xyz_m = np.array([take.sheet.trajectories[i].xyz_mm[::step] for i in named]) / 1000.0
+    step = max(1, sheet.count // SAMPLED)
+    xyz_m = np.array([sheet.trajectories[i].xyz_mm[::step] for i in named]) / 1000.0
     found: set[tuple[int, int]] = set()
     for a, slot in enumerate(named):
-        apart = np.linalg.norm(xyz_m - xyz_m[a], axis=2)
+        others = _nearest(xyz_m, a)
+        apart = np.linalg.norm(xyz_m[others] - xyz_m[a], axis=2)
         count = np.isfinite(apart).sum(axis=1)
-        with np.errstate(all="ignore"):
-            apart[count == 0] = 0.0
-            middle = np.nanmedian(apart, axis=1)
-            spread = 1.48 * np.nanmedian(np.abs(apart - middle[:, None]), axis=1)
-        usable = (count >= min(5, xyz_m.shape[1])) & (middle < LONGEST_LINK_M) & (spread < RIGID_MM / 1000.0)
-        usable[a] = False
-        others = np.flatnonzero(usable)
+        others, apart = others[count >= min(5, xyz_m.shape[1])], apart[count >= min(5, xyz_m.shape[1])]
+        middle = np.nanmedian(apart, axis=1) if len(apart) else np.zeros(0)
+        spread = 1.48 * np.nanmedian(np.abs(apart - middle[:, None]), axis=1) if len(apart) else np.zeros(0)
+        usable = np.flatnonzero((middle < LONGEST_LINK_M) & (spread < RIGID_MM / 1000.0))
         # Firm and near before firm and far.
-        worth = others[np.argsort((spread[others] + 0.002) * (middle[others] + 0.05), kind="stable")]
-        found |= {(min(slot, named[b]), max(slot, named[b])) for b in worth[:LINKS_EACH].tolist()}
+        worth = usable[np.argsort((spread[usable] + 0.002) * (middle[usable] + 0.05), kind="stable")]
+        pairs = [named[others[b]] for b in worth[:LINKS_EACH].tolist()]
+        found |= {(min(slot, b), max(slot, b)) for b in pairs}
     return sorted(found)
+
+
+def _known_links(take: OpenTake) -> list[tuple[int, int]]:
+    """Links, found anew only when names changed."""
+    named = [t.label for t in take.sheet.trajectories]
+    known = take.kept.get("links")
+    if known is None or known[0] != named:
+        known = take.kept["links"] = (named, _links(take.sheet))
+    return known[1]
+
+
+def _nearest(xyz_m: Array, a: int) -> Array:
+    """The markers that are nearest to one over the take (xyz_m: markers, frames, 3)."""
+    few = xyz_m[:, :: max(1, xyz_m.shape[1] // GLANCES)]
+    apart = np.linalg.norm(few - few[a], axis=2)
+    known = np.isfinite(apart)
+    mean = np.where(known, apart, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    mean[~known.any(axis=1)] = np.inf
+    mean[a] = np.inf
+    return np.argsort(mean, kind="stable")[: min(NEIGHBOURS, len(mean) - 1)]
 
 
 def _skeleton(take: OpenTake) -> messages.SkeletonView | None:

@@ -113,6 +113,7 @@ class TakeView(Message):
     suggested_names: list[str]
     warnings: list[str]
     chunk_frames: int
+    overview_stride: int
     export_name: str
 
 
@@ -179,6 +180,32 @@ class CoverageView(Message):
     dots: int
     used: int
     residual_px: float
+
+
+class AccuracyView(Message):
+    """What a rig is worth: cells (x slowest, z fastest) with the cameras that see them and the expected error (mm, −1
+    where fewer than two cameras do), for dots with this noise (px).
+    """
+
+    x_m: list[float]
+    y_m: list[float]
+    z_m: list[float]
+    cameras: list[int]
+    sigma_mm: list[float]
+    noise_px: float
+    median_mm: float
+
+
+class RefinedView(Message):
+    """A rig adjusted to the take: residuals (px rms) on frames left out, before and after, and where the cameras go."""
+
+    verdict: str
+    reasons: list[str]
+    before_px: float
+    after_px: float
+    cameras: list[CameraView]
+    moved_mm: dict[str, float]
+    turned_deg: dict[str, float]
 
 
 class RayView(Message):
@@ -312,6 +339,6 @@ class SubjectView(Message):
 
 
 MESSAGES = (
-    *(ProjectView, TakeView, Timeline, Series, DotsView, CoverageView, Why, Findings, Suggestion, Preview),
+    *(ProjectView, TakeView, Timeline, Series, DotsView, CoverageView, AccuracyView, RefinedView, Why, Findings, Suggestion, Preview),
     *(EditRequest, RevisionRequest, Pointed, ExportRequest, Done, Problem, Notice, MarkerSetView, SubjectView),
 )

@@ -171,13 +171,14 @@ class OpenTake:
         return self.edits.plain() != _made_with(self.project, self.settings)
 
     def remembered(self, name: str, make: Any) -> Any:
-        """Something that is computed once for each revision."""
-        with self.lock:
-            known = self.kept.get(name)
-            if known is None or known[0] != self.revision:
-                known = (self.revision, make())
-                self.kept[name] = known
+        """Something that is computed once for each revision; while it is, the take can be looked at and changed."""
+        revision, known = self.revision, self.kept.get(name)
+        if known is not None and known[0] == revision:
             return known[1]
+        made = make()
+        if revision == self.revision:
+            self.kept[name] = (revision, made)
+        return made
 
 
 def results_of(project: Project, settings: TakeSettings) -> Path:

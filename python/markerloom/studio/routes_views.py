@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from fastapi.responses import Response
 
 from markerloom.mending.edits import At
-from markerloom.studio import chunks, finding, looking, seeing, suggesting, videos
+from markerloom.studio import calibrating, chunks, finding, looking, seeing, suggesting, videos
 from markerloom.studio import messages as m
 from markerloom.studio.requests import Count, Opened, Row, Slot
 
@@ -32,6 +32,13 @@ def chunk(take: Opened, first: Row, count: Count) -> Response:
     """Samples as bytes (see `chunks`)."""
     with take.lock:
         return _bytes(chunks.of_sheet(take.sheet, first, count, take.revision))
+
+
+@routes.get("/overview")
+def overview(take: Opened) -> Response:
+    """Every n-th frame of the whole take, as bytes."""
+    with take.lock:
+        return _bytes(chunks.overview(take.sheet, take.revision))
 
 
 @routes.get("/joints")
@@ -70,6 +77,18 @@ def video(take: Opened, camera: str, frame: int) -> Response:
 def coverage(take: Opened) -> list[m.CoverageView]:
     """Where in its image each camera saw something."""
     return seeing.coverage_views(take)
+
+
+@routes.get("/accuracy")
+def accuracy(take: Opened) -> m.AccuracyView:
+    """What the rig is worth, cell by cell."""
+    return calibrating.accuracy_view(take)
+
+
+@routes.get("/refined")
+def refined(take: Opened) -> m.RefinedView:
+    """Where the cameras would stand if they were adjusted to the take."""
+    return calibrating.refined_view(take)
 
 
 @routes.get("/why")
