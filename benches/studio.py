@@ -1,7 +1,7 @@
 """The studio on long and full takes: opening, scrubbing, playing, memory; run as `python benches/studio.py [hours]`.
 
-An hour at 120 Hz with 100 markers, and ten people of 53 markers, in headless Chromium without a GPU (SwiftShader). Frames
-are counted where they were drawn with their samples.
+An hour at 120 Hz with 100 markers, and ten people of 53 markers, in headless Chromium without a GPU (SwiftShader).
+Frames are counted where they were drawn with their samples.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
+from markerloom import _core
 from markerloom.formats import c3d_file
 from markerloom.points import Points
 from markerloom.studio.page import built_page
@@ -47,7 +48,7 @@ def long_take(path: Path, hours: float, markers: int) -> None:
         for start in rng.integers(1, frames - 200, max(1, frames // 20_000)):
             words[start : start + int(rng.integers(5, 60)), i] = -1.0
     xyz[words < 0] = 0.0
-    file = c3d_file._core.C3d.empty(RATE_HZ, 1)
+    file = _core.C3d.empty(RATE_HZ, 1)
     file.set_points(xyz, words)
     c3d_file._set_standard_groups(file, [f"M{i:03d}" for i in range(markers)], frames, RATE_HZ)
     c3d_file.write_file(file, path)

@@ -55,6 +55,13 @@ def test_joint_centres_are_found_from_a_range_of_motion() -> None:
     assert np.ptp(lengths, axis=0).max() < 1e-9
 
 
+def test_a_short_walk_leaves_no_joint_astray() -> None:
+    names, xyz_mm, joints, centers_mm = rom(seed=1, frames=200, motion="walk")
+    errors = joint_errors_mm(ml.solve(points_of(xyz_mm, names), contacts=False).motion, joints, centers_mm)
+    assert max(errors.values()) < 60.0
+    assert np.median(list(errors.values())) < 20.0
+
+
 def test_an_arm_without_markers_is_carried_and_taken_up_again() -> None:
     solved, points, *_ = solved_rom()
     arm = [

@@ -495,6 +495,16 @@ def test_marker_sets_are_edited_and_saved_into_the_project(simulated: Path) -> N
     (simulated / "own.toml").unlink()
 
 
+def test_a_subject_is_learned_from_the_take_as_it_was_mended(studio: Studio) -> None:
+    studio.edit({"op": "label", "at": studio.at("A", 30), "name": "HEAD", "within": None})
+    done = studio.post("/subject", {"name": "anna"})
+    assert set(ml.read_subject(done["path"]).markers) == {"HEAD", *"BCDE"}
+    assert "is there already" in studio.post("/subject", {"name": "anna"}, 422)["message"]
+    studio.post("/subject", {"name": "anna", "overwrite": True})
+    for name in ("", "../anna", ".anna", "markerloom"):
+        assert "no name for a subject" in studio.post("/subject", {"name": name}, 422)["message"]
+
+
 @pytest.mark.parametrize("kind", [".c3d", ".parquet"])
 def test_stored_takes_are_the_same_whatever_they_came_from(tmp_path: Path, kind: str) -> None:
     points = ml.fill(swing(gap=(200, 229)))

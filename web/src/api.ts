@@ -16,6 +16,7 @@ import type {
   ProjectView,
   RefinedView,
   Series,
+  SubjectRequest,
   SubjectView,
   Suggestion,
   TakeInfo,
@@ -95,6 +96,7 @@ export const api = {
   markerSet: (name: string) => get<MarkerSetView>(`marker-sets/${encodeURIComponent(name)}`),
   saveMarkerSet: (name: string, view: MarkerSetView) =>
     json<Done>("PUT", `marker-sets/${encodeURIComponent(name)}`, view),
+  learnSubject: (take: string, wanted: SubjectRequest) => json<Done>("POST", `${of(take)}/subject`, wanted),
   subjects: () => get<SubjectView[]>("subjects"),
 };
 

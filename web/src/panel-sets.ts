@@ -72,6 +72,8 @@ export class SetsPanel {
         file,
         button("Save into the project", () => this.save(file.value)),
       ),
+      h("h3", {}, "Subjects"),
+      this.learning(),
       ...this.subjects.map((s) => this.subject(s)),
     );
   }
@@ -141,6 +143,33 @@ export class SetsPanel {
       this.names = await api.markerSets();
       await this.choose(file);
     } catch (error) {
+      state.complain(error);
+    }
+  }
+
+  /** Who wears the markers, learned from the take as it is now. */
+  private learning(): HTMLElement {
+    const name = h("input", { placeholder: "who", "aria-label": "Name of the subject" });
+    return h(
+      "div",
+      { className: "line" },
+      name,
+      button("Learn from this take", () => void this.learn(name.value, false)),
+    );
+  }
+
+  private async learn(name: string, overwrite: boolean): Promise<void> {
+    try {
+      const done = await api.learnSubject(state.take.get()!.name, { name, overwrite });
+      state.say(done.message);
+      this.subjects = await api.subjects();
+      this.draw();
+    } catch (error) {
+      const there = error instanceof Error && error.message.includes("is there already");
+      if (there && !overwrite) {
+        if (confirm(`${name}.toml is there already. Write over it?`)) await this.learn(name, true);
+        return;
+      }
       state.complain(error);
     }
   }

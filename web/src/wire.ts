@@ -385,6 +385,14 @@ export interface Split {
 }
 
 /**
+ * Learn a subject from the take as it is, and save it as NAME.toml in the project's folder.
+ */
+export interface SubjectRequest {
+  name: string;
+  overwrite?: boolean;
+}
+
+/**
  * A subject of the project: its markers, and the distances that vary least (two markers, mean and sd in mm).
  */
 export interface SubjectView {

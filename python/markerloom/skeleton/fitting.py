@@ -134,8 +134,8 @@ def fit_skeleton(
 
 
 def _held(rules: Centers) -> list[tuple[int, int, list[float], list[float], float]]:
-    """Joints held near where rules say they are: where motion does not show a joint, nothing else does. A rule is off by
-    the same in all frames, so that all of them together count once.
+    """Joints held near where rules say they are: where motion does not show a joint, nothing else does. A rule is off
+    by the same in all frames, so that all of them together count once.
     """
     pins = []
     for joint, (center_m, within_m) in rules.items():

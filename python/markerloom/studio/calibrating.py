@@ -16,7 +16,7 @@ DEFAULT_NOISE_PX = 0.1
 
 
 def accuracy_view(take: OpenTake) -> messages.AccuracyView:
-    """The planner's map for this rig: expected error in each cell of its volume, with the noise that the take showed."""
+    """The planner's map for this rig: the expected error in each cell of its volume, with the noise of this take."""
     if take.rig is None:
         raise InputError("the take has no calibration: what its rig is worth cannot be told")
     noise = float(np.median(dots_of(take).seen.noise_px)) if take.has_dots else DEFAULT_NOISE_PX

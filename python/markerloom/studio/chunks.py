@@ -44,7 +44,7 @@ def overview(sheet: Sheet, revision: int) -> bytes:
 
 
 def of_sheet(sheet: Sheet, first: int, count: int, revision: int, stride: int = 1) -> bytes:
-    """Rows ``first`` to before ``first + count`` of all trajectories, as far as the take has them; every n-th of them."""
+    """Rows ``first`` to before ``first + count`` of all trajectories, as far as the take has them; every n-th one."""
     low, high = max(first, 0), max(min(first + count, sheet.count), 0)
     trajectories = sheet.trajectories
     n, slots = len(range(low, high, stride)), len(trajectories)

@@ -9,7 +9,16 @@ import numpy as np
 from markerloom.errors import InputError, MarkerloomError
 from markerloom.project import Project
 from markerloom.studio import messages
-from markerloom.subjects import MarkerSet, marker_sets, read_marker_set, read_subject, write_marker_set
+from markerloom.studio.opened import OpenTake
+from markerloom.subjects import (
+    MarkerSet,
+    create_subject,
+    marker_sets,
+    read_marker_set,
+    read_subject,
+    write_marker_set,
+    write_subject,
+)
 
 MOST_TOLD = 12
 
@@ -77,6 +86,26 @@ def save_marker_set(project: Project, name: str, view: messages.MarkerSetView) -
     project.folder.mkdir(parents=True, exist_ok=True)
     write_marker_set(made, file)
     return messages.Done(message=f"{name}: {len(names)} markers", path=str(file))
+
+
+def learn_subject(take: OpenTake, wanted: messages.SubjectRequest) -> messages.Done:
+    """Learn who wears the markers from a take as it was mended; raises ``InputError`` where that cannot be."""
+    name, folder = wanted.name.strip(), take.project.folder
+    if not name or Path(name).name != name or name.startswith(".") or name == "markerloom":
+        raise InputError(f"'{wanted.name}' is no name for a subject: it becomes NAME.toml in the project's folder")
+    file = folder / f"{name}.toml"
+    if file.exists() and not wanted.overwrite:
+        raise InputError(f"{file.name} is there already: give the subject another name, or say that it may go")
+    with take.lock:
+        points = take.sheet.window(0, take.sheet.count)
+    worn = take.settings.marker_set
+    made = create_subject(points, marker_set=read_marker_set(worn) if worn else None, name=name)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_subject(made, file)
+    text = (
+        f'{file.name}: {len(made)} markers from {made.poses:.0f} poses; `subjects = ["{file.name}"]` names takes by it'
+    )
+    return messages.Done(message=text, path=str(file))
 
 
 def subject_views(project: Project) -> list[messages.SubjectView]:

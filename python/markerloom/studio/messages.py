@@ -327,6 +327,13 @@ class MarkerSetView(Message):
     links: list[tuple[str, str]]
 
 
+class SubjectRequest(Message):
+    """Learn a subject from the take as it is, and save it as NAME.toml in the project's folder."""
+
+    name: str
+    overwrite: bool = False
+
+
 class SubjectView(Message):
     """A subject of the project: its markers, and the distances that vary least (two markers, mean and sd in mm)."""
 
@@ -339,6 +346,30 @@ class SubjectView(Message):
 
 
 MESSAGES = (
-    *(ProjectView, TakeView, Timeline, Series, DotsView, CoverageView, AccuracyView, RefinedView, Why, Findings, Suggestion, Preview),
-    *(EditRequest, RevisionRequest, Pointed, ExportRequest, Done, Problem, Notice, MarkerSetView, SubjectView),
+    *(
+        ProjectView,
+        TakeView,
+        Timeline,
+        Series,
+        DotsView,
+        CoverageView,
+        AccuracyView,
+        RefinedView,
+        Why,
+        Findings,
+        Suggestion,
+        Preview,
+    ),
+    *(
+        EditRequest,
+        RevisionRequest,
+        Pointed,
+        ExportRequest,
+        Done,
+        Problem,
+        Notice,
+        MarkerSetView,
+        SubjectRequest,
+        SubjectView,
+    ),
 )

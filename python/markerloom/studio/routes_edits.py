@@ -6,6 +6,7 @@ from fastapi import APIRouter
 
 from markerloom.studio import messages as m
 from markerloom.studio import saving
+from markerloom.studio.marker_sets import learn_subject
 from markerloom.studio.requests import Here, Resting
 
 routes = APIRouter(prefix="/api/takes/{name}")
@@ -34,3 +35,9 @@ def redo(take: Resting, wanted: m.RevisionRequest) -> m.Done:
 def export(take: Resting, workspace: Here, wanted: m.ExportRequest) -> m.Done:
     """Write the mended take."""
     return saving.export(take, wanted, workspace.is_project)
+
+
+@routes.post("/subject")
+def subject(take: Resting, wanted: m.SubjectRequest) -> m.Done:
+    """Learn a subject from the take as it is."""
+    return learn_subject(take, wanted)
