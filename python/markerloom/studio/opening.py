@@ -6,6 +6,7 @@ import hashlib
 import os
 import secrets
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -79,13 +80,14 @@ class Workspace:
         if result["failed"]:
             raise InputError(result["failed"][0]["reason"])
 
-    def _work(self, entry: Entry, doing: str, first: object) -> None:
+    def _work(self, entry: Entry, doing: str, first: Callable[[], None]) -> None:
+        """Do something with a take, and open it, in a thread of its own."""
         entry.state, entry.message = "working", f"{entry.settings.name} {doing}"
 
         def work() -> None:
             before = entry.take
             try:
-                first()  # pyright: ignore[reportCallIssue]
+                first()
                 take = open_take(self.project, entry.settings)
                 # A page that looked at the take before must not take its revisions for the new ones.
                 take.revision = 1 if before is None else before.revision + 1

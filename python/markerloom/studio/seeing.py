@@ -92,8 +92,9 @@ def dots_view(take: OpenTake, frame: int) -> messages.DotsView:
     slots, places = _places(take, row)
     known = dots_of(take) if take.has_dots else None
     slot_of = _slots_by_origin(take, row)
+    gone = _excluded_rows(take, known) if known and take.dots_pending else None
     for i, camera in enumerate(rig.cameras):
-        dots = _dots(take, known, i, frame, slot_of) if known else []
+        dots = [*_dots(known, i, frame, slot_of, gone), *_left_out(take, known, i, frame)] if known else []
         pixels = rig.project(i, places / 1000.0) if len(slots) else np.zeros((0, 2))
         reprojections = [
             messages.ReprojectionView(slot=s, x=float(x), y=float(y))
@@ -116,24 +117,31 @@ def _slots_by_origin(take: OpenTake, row: int) -> dict[int, int]:
     found = {}
     for i, one in enumerate(take.sheet.trajectories):
         if "origin" in one.samples and 0 <= row < take.sheet.count and one.kind[row] != ABSENT:
-            found[int(one.samples["origin"][row])] = i
+            origin = int(one.samples["origin"][row])
+            if origin >= 0:
+                found[origin] = i
     return found
 
 
 def _dots(
-    take: OpenTake, known: CameraDots, camera: int, frame: int, slot_of: dict[int, int]
+    known: CameraDots, camera: int, frame: int, slot_of: dict[int, int], gone: Array | None
 ) -> list[messages.DotView]:
+    """The centroids of a camera in a frame; ``gone``: those that are excluded since the take was reconstructed."""
     dots = known.seen.dots
     index = int(np.searchsorted(dots.frames, frame))
-    found = []
-    if index < len(dots.frames) and dots.frames[index] == frame:
-        rows = np.arange(int(dots.starts[index]), int(dots.starts[index + 1]))
-        for r in rows[dots.camera[rows] == camera].tolist():
-            slot = slot_of.get(int(known.seen.track[r]), -1)
-            x, y = dots.pixel[r].tolist()
-            gone = bool(_excluded_rows(take, known)[dots.row[r]]) if take.dots_pending else False
-            found.append(messages.DotView(x=x, y=y, observation=int(dots.observation[r]), slot=slot, excluded=gone))
-    return found + _left_out(take, known, camera, frame)
+    if index == len(dots.frames) or dots.frames[index] != frame:
+        return []
+    rows = np.arange(int(dots.starts[index]), int(dots.starts[index + 1]))
+    return [
+        messages.DotView(
+            x=float(dots.pixel[r, 0]),
+            y=float(dots.pixel[r, 1]),
+            observation=int(dots.observation[r]),
+            slot=slot_of.get(int(known.seen.track[r]), -1),
+            excluded=gone is not None and bool(gone[dots.row[r]]),
+        )
+        for r in rows[dots.camera[rows] == camera].tolist()
+    ]
 
 
 def _excluded_rows(take: OpenTake, known: CameraDots) -> Array:
@@ -206,7 +214,8 @@ def why(take: OpenTake, slot: int, frame: int) -> messages.Why:
         found = explain(_around(take, known, slot, track, row), track, frame)
     except MarkerloomError as error:
         return messages.Why(text=f"{text} {error}", lines=[], rays=[])
-    lines = [_line(take, view) for view in found.cameras]
+    slot_of = _slots_by_origin(take, row)
+    lines = [_line(take, view, slot_of) for view in found.cameras]
     return messages.Why(text=text, lines=lines, rays=_rays(known, frame, track))
 
 
@@ -247,11 +256,10 @@ def _around(take: OpenTake, known: CameraDots, slot: int, track: int, row: int) 
     return TrackedTake(**{**columns, "track": np.full(len(points), track)}, seen=known.seen)
 
 
-def _line(take: OpenTake, view: CameraView) -> str:
+def _line(take: OpenTake, view: CameraView, slot_of: dict[int, int]) -> str:
     text = f"camera {view.camera}: {CAUSES[view.cause]}"
-    if view.cause == "taken":
-        owners = [t for t in take.sheet.trajectories if view.track in (t.track,)]
-        text += f" ({owners[0].label or f'*{owners[0].track}'})" if owners else ""
+    if view.cause == "taken" and view.track in slot_of:
+        text += f" ({take.sheet.name(slot_of[view.track])})"
     if np.isfinite(view.distance_px):
         text += f"; {view.distance_px:.2f} px away, {view.allowed_px:.2f} px allowed"
     return text
