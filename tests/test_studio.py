@@ -14,7 +14,9 @@ from markerloom.mending import edits as e
 from markerloom.mending.sheet import Sheet
 from markerloom.studio import chunks, stored
 from markerloom.studio.opening import Workspace
+from markerloom.studio.page import page_can_be_built
 from markerloom.studio.server import make_server
+from markerloom.studio.standalone import save_view
 from markerloom.studio.wire import typescript
 from test_mending import take as swing
 
@@ -551,6 +553,34 @@ def test_a_motion_alone_is_shown(simulated: Path) -> None:
     assert len(view["skeleton"]["joints"]) == len(view["skeleton"]["parents"])
     assert len(studio.get("/joints", first=0, count=5)) > 24
     assert studio.get("/timeline")["runs"] == []
+
+
+@pytest.mark.skipif(not page_can_be_built(), reason="the page is not built, and npm missing")
+def test_reports_of_a_project_show_the_take(simulated: Path) -> None:
+    ml.process(simulated, viewer=save_view)
+    made = simulated / "results/walk"
+    assert 'src="view.html"' in (made / "report.html").read_text("utf-8")
+    text = (made / "view.html").read_text("utf-8")
+    assert "markerloomTake=" in text
+    assert "./assets/" not in text
+    before = text
+    ml.process(simulated, viewer=save_view)
+    assert (made / "view.html").read_text("utf-8") == before
+
+
+@pytest.mark.skipif(not page_can_be_built(), reason="the page is not built, and npm missing")
+def test_long_takes_become_a_page_of_every_nth_frame(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chunks, "OVERVIEW_BYTES", 21 * 5 * 64)
+    studio = Studio(ml.view(file))
+    studio.open()
+    assert studio.get("")["overview_stride"] == 7
+    data = studio.get("/overview")
+    assert struct.unpack_from("<4sHHIII", data)[3:] == (0, 58, 5)
+    whole = np.frombuffer(studio.get("/chunk", first=0, count=400), "<f4", 3 * 5 * 400, 24).reshape(400, 15)
+    np.testing.assert_array_equal(np.frombuffer(data, "<f4", 3 * 5 * 58, 24).reshape(58, 15), whole[::7])
+    said = studio.post("/export", {"file": "swing.html"})
+    assert said["message"] == "swing.html: 58 frames in one page"
+    assert "one frame in 7" in Path(said["path"]).read_text("utf-8")
 
 
 @pytest.mark.parametrize(

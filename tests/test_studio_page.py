@@ -325,6 +325,28 @@ def test_a_file_that_goes_while_it_is_open_is_told(view: Any, look: Any, file: P
     expect(page.locator("#banner")).to_be_hidden(timeout=10_000)
 
 
+def test_a_page_that_holds_its_take_needs_no_server(look: Any, file: Path, tmp_path: Path) -> None:
+    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "markerloom.cli", "view", str(file), "--page", str(tmp_path / "swing.html")]
+    subprocess.run(command, check=True, env=env, capture_output=True)
+    page = look("about:blank")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((tmp_path / "swing.html").as_uri())
+    says(page, "swing: 400 frames, 5 trajectories")
+    pick(page, "C")
+    go_to(page, 237)
+    expect(page.locator("#why")).to_contain_text("C is measured in frame 237")
+    assert shown_mm(page) == pytest.approx(sample(ml.read_points(file), "C", 237), abs=0.006)
+    page.keyboard.press("Escape")
+    page.keyboard.press("Shift+G")
+    expect(page.locator("#frame")).to_have_value("200")
+    expect(page.get_by_role("button", name="Fill", exact=True)).to_have_count(0)
+    page.keyboard.press("u")
+    says(page, "it is mended in the studio")
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
 def test_the_wrong_token_shows_what_to_do(view: Any, look: Any, file: Path) -> None:
     url = view(file).url
     page = look(re.sub(r"token=.*", "token=wrong", url))

@@ -27,6 +27,13 @@ def table(header: list[str], rows: list[list[str]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
+def frame(page: str, title: str) -> str:
+    """Another page that lies beside this one, inside it."""
+    style = "width:100%;height:640px;border:1px solid #d5dbe1;border-radius:6px"
+    link = f'<a href="{escape(page)}">on its own</a>'
+    return f'<iframe src="{escape(page)}" title="{escape(title)}" style="{style}"></iframe><p class="note">{link}</p>'
+
+
 def figure(picture: str, caption: str) -> str:
     """A picture with a caption."""
     return f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>"

@@ -1,5 +1,6 @@
 // Talking to the server: every call carries the token; what goes wrong comes back as words.
 
+import { type EmbeddedTake, embeddedApi } from "./embedded";
 import type {
   AccuracyView,
   At,
@@ -62,7 +63,7 @@ const of = (take: string) => `takes/${encodeURIComponent(take)}`;
 const get = <T>(path: string) => json<T>("GET", path);
 const bytes = async (path: string) => (await send("GET", path)).arrayBuffer();
 
-export const api = {
+const server = {
   project: () => get<ProjectView>("project"),
   open: (take: string) => json<TakeInfo>("POST", `${of(take)}/open`),
   reopen: (take: string) => json<TakeInfo>("POST", `${of(take)}/reopen`),
@@ -100,8 +101,26 @@ export const api = {
   subjects: () => get<SubjectView[]>("subjects"),
 };
 
+/** A take that came inside the page, which then needs no server. */
+const embedded = (globalThis as { markerloomTake?: EmbeddedTake }).markerloomTake;
+export const readOnly = embedded !== undefined;
+
+function refused(): never {
+  throw new ServerError("refused", "This page shows a take; it is mended in the studio: markerloom view");
+}
+
+function offered(data: EmbeddedTake): typeof server {
+  const known: Partial<typeof server> = embeddedApi(data);
+  return new Proxy(known as typeof server, {
+    get: (target, name) => Reflect.get(target, name) ?? (async () => refused()),
+  });
+}
+
+export const api = embedded === undefined ? server : offered(embedded);
+
 /** What the server tells by itself; reconnects on its own. */
 export function listen(told: (notice: Notice) => void, connected: (alive: boolean) => void): void {
+  if (readOnly) return;
   const source = new EventSource(`api/notices?token=${encodeURIComponent(token)}`);
   source.onopen = () => connected(true);
   source.onmessage = (event) => told(JSON.parse(event.data));

@@ -1,6 +1,6 @@
 // The 2D view of one camera: its image, masks, centroids, reprojections, and how far those are apart.
 
-import { api } from "./api";
+import { api, readOnly } from "./api";
 import { drawSoon } from "./schedule";
 import * as state from "./state";
 import { after } from "./store";
@@ -61,7 +61,7 @@ export class ImageView {
   }
 
   private get visible(): boolean {
-    return state.options.get().view !== "3d";
+    return !readOnly && state.options.get().view !== "3d";
   }
 
   private askImage(): void {

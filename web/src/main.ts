@@ -1,6 +1,6 @@
 // The page: puts the views together and connects them with the server.
 
-import { api, listen, ServerError } from "./api";
+import { api, listen, readOnly, ServerError } from "./api";
 import { button, fill, h, select } from "./dom";
 import { GraphView } from "./graphs";
 import { ImageView } from "./image-view";
@@ -82,7 +82,7 @@ function drawToolbar(view: View3D | null): void {
     draw();
     return made;
   });
-  const views = (["3d", "2d", "both"] as const).map((v, i) => {
+  const views = (readOnly ? (["3d"] as const) : (["3d", "2d", "both"] as const)).map((v, i) => {
     const made = button(["3D", "camera", "both"][i], () => state.setOption("view", v), { title: `key ${i + 1}` });
     const draw = () => made.setAttribute("aria-pressed", String(state.options.get().view === v));
     state.options.on(draw);
@@ -175,7 +175,10 @@ function drawTabs(): void {
   new EditsPanel(element("panel-edits"));
   new CamerasPanel(element("panel-cameras"));
   new SkeletonPanel(element("panel-skeleton"));
-  const tabs = [...document.querySelectorAll<HTMLButtonElement>("[role=tab]")];
+  const every = [...document.querySelectorAll<HTMLButtonElement>("[role=tab]")];
+  // A page that holds its take shows it, and no more.
+  const tabs = every.filter((tab) => !readOnly || ["tab-marker", "tab-findings"].includes(tab.id));
+  for (const tab of every) tab.hidden = !tabs.includes(tab);
   const show = (wanted: HTMLButtonElement) => {
     for (const tab of tabs) {
       const on = tab === wanted;
@@ -268,10 +271,12 @@ async function open(name: string): Promise<void> {
   try {
     element("failure").hidden = true;
     await openTake(name);
-    const back = new URL(location.href);
-    back.searchParams.set("take", name);
-    history.replaceState(null, "", back);
-    await retryWaiting();
+    if (!readOnly) {
+      const back = new URL(location.href);
+      back.searchParams.set("take", name);
+      history.replaceState(null, "", back);
+      await retryWaiting();
+    }
   } catch (error) {
     state.complain(error);
     const text = error instanceof Error ? error.message : String(error);
@@ -327,6 +332,7 @@ function layout(): void {
 }
 
 async function start(): Promise<void> {
+  if (readOnly) state.setOption("view", "3d");
   layout();
   const view = start3D();
   connectViews(view);

@@ -1,6 +1,6 @@
 // The panel of what is selected: where it is, why it is missing, its name, and what can be done with it.
 
-import { api } from "./api";
+import { api, readOnly } from "./api";
 import { KINDS } from "./chunk";
 import { button, fill, h, select } from "./dom";
 import * as mend from "./mend";
@@ -132,7 +132,7 @@ export class MarkerPanel {
 
   private drawTools(): void {
     const [slot, take] = [main(state.selection.get()), state.take.get()];
-    if (slot === null || take === null || slot >= take.trajectories.length) {
+    if (slot === null || take === null || readOnly || slot >= take.trajectories.length) {
       fill(this.tools);
       return;
     }

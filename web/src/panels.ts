@@ -108,7 +108,7 @@ export class EditsPanel {
         name,
         button("Export", () => this.export(name.value, false), { id: "export" }),
       ),
-      h("p", { className: "muted" }, ".c3d, .trc, .parquet or .csv"),
+      h("p", { className: "muted" }, ".c3d, .trc, .parquet or .csv; .html: a page for somebody who only looks"),
       ...take.warnings.map((w) => h("p", { className: "warning" }, w)),
     );
   }

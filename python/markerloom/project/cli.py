@@ -11,6 +11,7 @@ from markerloom import report as reports
 from markerloom.errors import InputError
 from markerloom.project.process import process as run_process
 from markerloom.project.settings import FILE
+from markerloom.studio.standalone import save_view
 
 
 def process(
@@ -26,7 +27,7 @@ def process(
     Example: markerloom process sessions/friday
     """
     wanted = None if takes is None else takes.split(",")
-    result = run_process(project, takes=wanted, say=None if quiet else typer.echo)
+    result = run_process(project, takes=wanted, say=None if quiet else typer.echo, viewer=save_view)
     if report is not None:
         reports.save(reports.of_run([], {"project": project.name, "takes": wanted}, result), report)
     if result["failed"]:

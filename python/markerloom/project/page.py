@@ -20,10 +20,15 @@ from markerloom.trajectories import Trajectories
 WORST = 25
 
 
-def save_take_page(path: Path, settings: TakeSettings, points: Points, reports: dict[str, dict[str, Any]]) -> None:
-    """Write ``report.html``: completeness of names, gaps and their fills, residuals, warnings."""
+def save_take_page(
+    path: Path, settings: TakeSettings, points: Points, reports: dict[str, dict[str, Any]], *, view: str = ""
+) -> None:
+    """Write ``report.html``: completeness of names, gaps and their fills, residuals, warnings; ``view``: a page beside
+    it in which the take can be looked at.
+    """
     take = Trajectories.of(points)
-    sections = [html.section("At a glance", _glance(take, reports))]
+    sections = [html.frame(view, "The take: play, turn, select")] if view else []
+    sections.append(html.section("At a glance", _glance(take, reports)))
     warnings = [w for r in reports.values() for w in r.get("warnings", [])]
     if warnings:
         sections.append(html.section("Warnings", *(html.note(w) for w in warnings)))

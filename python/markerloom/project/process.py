@@ -38,14 +38,23 @@ ASSIGNMENTS = "assignments.parquet"
 VERSIONS = {"track": 2, "label": 1, "fill": 1, "smooth": 1, "mend": 1, "solve": 2}
 """Raised when a stage gives other results for the same input: what was computed before is then computed again."""
 Say = Callable[[str], None]
+VIEW = "view.html"
+Viewer = Callable[["Project", "TakeSettings", Path], None]
+"""Writes a take, as it is after `process`, into one page in which it can be looked at."""
 
 
-def process(folder: str | Path | Project, *, takes: list[str] | None = None, say: Say | None = None) -> dict[str, Any]:
+def process(
+    folder: str | Path | Project,
+    *,
+    takes: list[str] | None = None,
+    say: Say | None = None,
+    viewer: Viewer | None = None,
+) -> dict[str, Any]:
     """Process a project, by its folder or as it was read; returns a row for each take, and the reason of each failure.
 
     Results are in ``results/TAKE``: every stage as Parquet, the exported files, a page, and a snapshot of calibration,
     subjects and settings. What did not change is not computed again; a take that fails does not stop the others.
-    ``takes``: only these.
+    ``takes``: only these. ``viewer``: writes ``view.html`` beside each page.
     """
     project = folder if isinstance(folder, Project) else read_project(folder)
     chosen = _chosen(project, takes)
@@ -53,7 +62,7 @@ def process(folder: str | Path | Project, *, takes: list[str] | None = None, say
     failed: list[dict[str, str]] = []
     for settings in chosen:
         try:
-            rows.append(_one(project, settings))
+            rows.append(_one(project, settings, viewer))
             if say:
                 ran = ", ".join(rows[-1]["ran"]) or "nothing to do"
                 say(f"{settings.name}: {ran}; {100 * rows[-1]['complete']:.2f} % complete")
@@ -78,7 +87,7 @@ def _chosen(project: Project, takes: list[str] | None) -> list[TakeSettings]:
     return [t for t in project.takes if takes is None or t.name in takes]
 
 
-def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
+def _one(project: Project, settings: TakeSettings, viewer: Viewer | None) -> dict[str, Any]:
     """One take through all stages."""
     made = automatic(project, settings)
     stages, reports, edits = made.stages, made.reports, made.edits
@@ -97,7 +106,10 @@ def _one(project: Project, settings: TakeSettings) -> dict[str, Any]:
         reports["solve"] = _solve(stages, settings, points, key, edits)
         exported += [f"{settings.name}{kind}" for kind in settings.solve_to]
     _snapshot(stages.folder, settings, edits)
-    save_take_page(stages.folder / "report.html", settings, points, reports)
+    view = stages.folder / VIEW
+    if viewer is not None and (stages.ran or not view.is_file()):
+        viewer(project, settings, view)
+    save_take_page(stages.folder / "report.html", settings, points, reports, view=VIEW if view.is_file() else "")
     fills = reports.get("fill", {})
     named = reports.get("label", {})
     warnings = [w for r in reports.values() for w in r.get("warnings", [])]

@@ -16,10 +16,13 @@ import uvicorn
 
 from markerloom.errors import InputError
 from markerloom.formats.files import write_text
+from markerloom.studio.messages import Done
+from markerloom.studio.opened import open_take
 from markerloom.studio.opening import Workspace, cache_folder
 from markerloom.studio.opening import view as open_workspace
 from markerloom.studio.page import built_page
 from markerloom.studio.server import make_server
+from markerloom.studio.standalone import save_page
 
 
 def view(
@@ -29,25 +32,41 @@ def view(
     calibration: Annotated[Path | None, typer.Option(help="The cameras, for a file.")] = None,
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the file has none.")] = None,
     port: Annotated[int, typer.Option(help="0: the one of last time, or any.", min=0, max=65535)] = 0,
+    page: Annotated[
+        Path | None, typer.Option("--page", help="Write the take into one page instead.", metavar="FILE.html")
+    ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Look at a take in the browser, and mend it: a server on this machine only, until Ctrl-C.
 
-    Example: markerloom view walk.c3d
+    Example: markerloom view walk.c3d · markerloom view walk.c3d --page walk.html
     """
     workspace = open_workspace(what, calibration=calibration, rate_hz=rate_hz)
-    page = built_page()
+    if page is not None:
+        done = page_of(workspace, page)
+        if not quiet:
+            typer.echo(f"{done.message} → {done.path}")
+        return
+    built = built_page()
     listening, token = _address(workspace, port)
     url = f"http://127.0.0.1:{listening.getsockname()[1]}/?token={token}"
     if not quiet:
         typer.echo(f"{workspace.project.name}: {url}\nCtrl-C ends it.")
     config = uvicorn.Config(
-        make_server(workspace, token, page), log_level="critical", timeout_graceful_shutdown=1, access_log=False
+        make_server(workspace, token, built), log_level="critical", timeout_graceful_shutdown=1, access_log=False
     )
     if browser:
         threading.Timer(0.5, webbrowser.open, [url]).start()
     uvicorn.Server(config).run(sockets=[listening])
+
+
+def page_of(workspace: Workspace, path: Path) -> Done:
+    """The first take as a page that needs no server."""
+    if path.suffix != ".html":
+        raise InputError(f"pages are written as .html ({path})")
+    entry = next(iter(workspace.entries.values()))
+    return save_page(open_take(workspace.project, entry.settings), path)
 
 
 def _address(workspace: Workspace, port: int) -> tuple[socket.socket, str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from markerloom.errors import InputError
 from markerloom.mending.feet import marked
-from markerloom.mending.sheet import ABSENT, Sheet, Trajectory
+from markerloom.mending.sheet import ABSENT, Sheet
 from markerloom.rig import Camera
 from markerloom.skeleton.contacts import Contact
 from markerloom.skeleton.motion import angles
@@ -204,20 +204,20 @@ def _runs(take: OpenTake, slot: int) -> Array:
     one = take.sheet.trajectories[slot]
     known = take.kept.get(f"runs {slot}")
     if known is None or known[0] != one.version:
-        known = take.kept[f"runs {slot}"] = (one.version, runs_of(one))
+        known = take.kept[f"runs {slot}"] = (one.version, runs_of_kinds(one.kind))
     return known[1]
 
 
-def runs_of(one: Trajectory) -> Array:
+def runs_of_kinds(kinds: Array) -> Array:
     """Runs of samples of one kind (n, 3: start, length, kind)."""
-    kind = np.asarray(one.kind)
-    if len(kind) == 0:
+    kinds = np.asarray(kinds)
+    if len(kinds) == 0:
         return np.zeros((0, 3), np.int64)
-    edges = np.flatnonzero(np.diff(kind)) + 1
+    edges = np.flatnonzero(np.diff(kinds)) + 1
     starts = np.concatenate([[0], edges])
-    lengths = np.diff(np.append(starts, len(kind)))
-    there = kind[starts] != ABSENT
-    return np.column_stack([starts, lengths, kind[starts]])[there].astype(np.int64)
+    lengths = np.diff(np.append(starts, len(kinds)))
+    there = kinds[starts] != ABSENT
+    return np.column_stack([starts, lengths, kinds[starts]])[there].astype(np.int64)
 
 
 def timeline(take: OpenTake) -> messages.Timeline:

@@ -36,6 +36,11 @@ def built_page() -> Path:
     return _there()
 
 
+def page_can_be_built() -> bool:
+    """Whether the page is there, or can be made."""
+    return (BUILT / "index.html").is_file() or (SOURCES.is_dir() and shutil.which("npm") is not None)
+
+
 def _there() -> Path:
     if not (BUILT / "index.html").is_file():
         raise InputError("the page is missing from this installation: install markerloom again")

@@ -10,6 +10,7 @@ from markerloom.mending import mend
 from markerloom.project.process import automatic
 from markerloom.studio import messages
 from markerloom.studio.opened import OpenTake, results_of
+from markerloom.studio.standalone import save_page
 
 
 def export(take: OpenTake, wanted: messages.ExportRequest, is_project: bool) -> messages.Done:
@@ -18,8 +19,8 @@ def export(take: OpenTake, wanted: messages.ExportRequest, is_project: bool) -> 
     folder = results_of(take.project, take.settings) if is_project else source.parent
     if Path(wanted.file).name != wanted.file or wanted.file.startswith("."):
         raise InputError(f"'{wanted.file}' is not the plain name of a file")
-    if formats.ending(wanted.file) not in formats.POINTS_WRITTEN:
-        raise InputError(f"points are written as {', '.join(formats.POINTS_WRITTEN)}, not as {wanted.file}")
+    if formats.ending(wanted.file) not in (*formats.POINTS_WRITTEN, ".html"):
+        raise InputError(f"takes are written as {', '.join(formats.POINTS_WRITTEN)} or .html, not as {wanted.file}")
     target = folder / wanted.file
     if target.resolve() == source.resolve():
         raise InputError("the take itself is never changed: export it under another name")
@@ -27,6 +28,8 @@ def export(take: OpenTake, wanted: messages.ExportRequest, is_project: bool) -> 
         raise InputError(f"{wanted.file} is there already: export it under another name, or say that it may go")
     if take.dots_pending:
         raise InputError("centroids were left out since the take was reconstructed: reconstruct it first")
+    if formats.ending(wanted.file) == ".html":
+        return save_page(take, target)
     made = automatic(take.project, take.settings)
     mended = mend(made.points, take.edits)
     formats.write_points(mended, target)
