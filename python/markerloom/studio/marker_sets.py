@@ -24,7 +24,7 @@ MOST_TOLD = 12
 
 
 def known_sets(project: Project) -> list[str]:
-    """Names of the sets that can be looked at: those in the project's folder (``NAME.toml``), and markerloom's."""
+    """Names of the sets that can be looked at: those that takes wear, those in the project's folder, markerloom's."""
     own = {Path(t.marker_set).name for t in project.takes if Path(t.marker_set).is_file()}
     for file in sorted(project.folder.glob("*.toml")) if project.folder.is_dir() else ():
         try:
@@ -32,7 +32,8 @@ def known_sets(project: Project) -> list[str]:
         except MarkerloomError:
             continue
         own.add(file.name)
-    return [*sorted(own), *marker_sets()]
+    worn = sorted({t.marker_set for t in project.takes} & set(marker_sets()))
+    return list(dict.fromkeys([*worn, *sorted(own), *marker_sets()]))
 
 
 def marker_set_view(project: Project, name: str) -> messages.MarkerSetView:
