@@ -2,6 +2,7 @@
 
 import struct
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -505,6 +506,42 @@ def test_a_subject_is_learned_from_the_take_as_it_was_mended(studio: Studio) -> 
     studio.post("/subject", {"name": "anna", "overwrite": True})
     for name in ("", "../anna", ".anna", "markerloom"):
         assert "no name for a subject" in studio.post("/subject", {"name": name}, 422)["message"]
+
+
+def test_a_subject_is_edited(studio: Studio) -> None:
+    done = studio.post("/subject", {"name": "anna"})
+    before = ml.read_subject(done["path"])
+    names = {"A": "TOP", "B": "B", "C": "C", "D": "D"}
+    wanted = {"name": "Anna", "markers": names}
+    put = partial(studio.client.put, "/api/subjects/anna.toml")
+    assert put(json=wanted).status_code == 200
+    after = ml.read_subject(done["path"])
+    assert (after.name, set(after.markers)) == ("Anna", {"TOP", "B", "C", "D"})
+    for a, b in (("A", "B"), ("C", "D")):
+        i, j = before.markers.index(a), before.markers.index(b)
+        k, n = after.markers.index(names[a]), after.markers.index(names[b])
+        assert after.distances[k * len(after) + n] == before.distances[i * len(before) + j]
+    assert [s["name"] for s in studio.client.get("/api/subjects").json()] == ["Anna"]
+    for markers, why in (
+        ({"TOP": "X"}, "at least 3"),
+        ({**dict.fromkeys(names.values(), "x"), "E": "E"}, "no marker"),
+        ({"B": "B", "C": "B", "D": "D"}, "of their own"),
+    ):
+        answer = put(json={"name": "Anna", "markers": markers})
+        assert (answer.status_code, why in answer.json()["message"]) == (422, True)
+    assert studio.client.put("/api/subjects/nobody.toml", json=wanted).status_code == 422
+
+
+def test_a_take_whose_calibration_is_missing_says_so(tmp_path: Path) -> None:
+    ml.save(ml.simulate(ml.make_scene("walk", frames=5)), tmp_path)
+    text = 'calibration = "gone.toml"\n[takes.walk]\nfile = "observations.parquet"\n'
+    (tmp_path / "markerloom.toml").write_text(text)
+    studio = Studio(ml.view(tmp_path))
+    info = studio.open()
+    assert (info["state"], "gone.toml" in info["message"]) == ("failed", True)
+    assert "gone.toml" in studio.get("", 422)["message"]
+    (tmp_path / "gone.toml").write_bytes((tmp_path / "calibration.toml").read_bytes())
+    assert studio.open("/reopen")["state"] == "ready"
 
 
 @pytest.mark.parametrize("kind", [".c3d", ".parquet"])

@@ -17,6 +17,7 @@ import type {
   ProjectView,
   RefinedView,
   Series,
+  SubjectEdit,
   SubjectRequest,
   SubjectView,
   Suggestion,
@@ -98,6 +99,7 @@ const server = {
   saveMarkerSet: (name: string, view: MarkerSetView) =>
     json<Done>("PUT", `marker-sets/${encodeURIComponent(name)}`, view),
   learnSubject: (take: string, wanted: SubjectRequest) => json<Done>("POST", `${of(take)}/subject`, wanted),
+  editSubject: (file: string, wanted: SubjectEdit) => json<Done>("PUT", `subjects/${encodeURIComponent(file)}`, wanted),
   subjects: () => get<SubjectView[]>("subjects"),
 };
 

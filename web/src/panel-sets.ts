@@ -3,7 +3,7 @@
 import { api } from "./api";
 import { button, fill, h, select } from "./dom";
 import * as state from "./state";
-import type { MarkerSetView, MarkerView, SubjectView } from "./wire";
+import type { MarkerSetView, MarkerView, SubjectEdit, SubjectView } from "./wire";
 
 const SIDES = { left: "left", middle: "middle", right: "right" };
 
@@ -174,19 +174,51 @@ export class SetsPanel {
     }
   }
 
+  /** A subject: its markers can be renamed or let go, its firmest distances are shown. */
   private subject(one: SubjectView): HTMLElement {
+    const names = new Map(one.markers.map((m) => [m, m]));
+    const who = h("input", { value: one.name, "aria-label": `Name of subject ${one.name}` });
+    const rename = (m: string) => (e: Event) => {
+      names.set(m, (e.target as HTMLInputElement).value.trim());
+    };
+    const markers = one.markers.map((m) => {
+      const field = h("input", { value: m, "aria-label": `name of ${m} of ${one.name}`, onchange: rename(m) });
+      const line = h("div", { className: "line" }, field);
+      const letGo = () => {
+        names.delete(m);
+        line.remove();
+      };
+      line.append(button("×", letGo, { "aria-label": `let ${m} of ${one.name} go` }));
+      return line;
+    });
     const rows = one.firmest.map(([a, b, mean, sd]) =>
       h("tr", {}, h("td", {}, `${a} – ${b}`), h("td", {}, mean.toFixed(1)), h("td", {}, sd.toFixed(2))),
     );
+    const save = () => this.saveSubject(one.file, { name: who.value, markers: Object.fromEntries(names) });
+    const title = `${one.name}: ${one.markers.length} markers, learned from ${Math.round(one.poses)} poses (${one.file})`;
     return h(
       "details",
       {},
+      h("summary", {}, title),
       h(
-        "summary",
-        {},
-        `Subject ${one.name}: ${one.markers.length} markers, learned from ${Math.round(one.poses)} poses`,
+        "div",
+        { className: "line" },
+        who,
+        button("Save", () => void save()),
       ),
+      h("div", { className: "set-rows" }, ...markers),
       h("table", {}, h("tr", {}, h("th", {}, "firmest distances"), h("th", {}, "mm"), h("th", {}, "sd")), ...rows),
     );
+  }
+
+  private async saveSubject(file: string, wanted: SubjectEdit): Promise<void> {
+    try {
+      const done = await api.editSubject(file, wanted);
+      state.say(`saved ${done.message}`);
+      this.subjects = await api.subjects();
+      this.draw();
+    } catch (error) {
+      state.complain(error);
+    }
   }
 }

@@ -385,6 +385,14 @@ export interface Split {
 }
 
 /**
+ * A subject's name, and the markers that stay: each by its present name, with the one it gets.
+ */
+export interface SubjectEdit {
+  name: string;
+  markers: Record<string, string>;
+}
+
+/**
  * Learn a subject from the take as it is, and save it as NAME.toml in the project's folder.
  */
 export interface SubjectRequest {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +18,13 @@ from markerloom.subjects import (
     marker_sets,
     read_marker_set,
     read_subject,
+    with_markers,
     write_marker_set,
     write_subject,
 )
 
 MOST_TOLD = 12
+LEAST_MARKERS = 3
 
 
 def known_sets(project: Project) -> list[str]:
@@ -109,11 +113,32 @@ def learn_subject(take: OpenTake, wanted: messages.SubjectRequest) -> messages.D
     return messages.Done(message=text, path=str(file))
 
 
+def edit_subject(project: Project, file: str, wanted: messages.SubjectEdit) -> messages.Done:
+    """Rename a subject and its markers, or let markers go; what was learned of the others stays."""
+    path = next((Path(s) for s in _subjects(project) if Path(s).name == file), None)
+    if path is None:
+        raise InputError(f"the project has no subject in {file}")
+    if not wanted.name.strip() or len(wanted.markers) < LEAST_MARKERS:
+        raise InputError(f"a subject has a name, and at least {LEAST_MARKERS} markers")
+    made = replace(with_markers(read_subject(path), wanted.markers), name=wanted.name.strip())
+    write_subject(made, path)
+    return messages.Done(message=f"{file}: {len(made)} markers", path=str(path))
+
+
+def _subjects(project: Project) -> list[str]:
+    """Files of subjects: those that takes name, and those in the project's folder."""
+    found = {s for t in project.takes for s in t.subjects}
+    for file in sorted(project.folder.glob("*.toml")) if project.folder.is_dir() else ():
+        with suppress(MarkerloomError):
+            read_subject(file)
+            found.add(str(file))
+    return sorted(found)
+
+
 def subject_views(project: Project) -> list[messages.SubjectView]:
-    """Subjects of the project's takes, with the distances that vary least."""
-    files = sorted({s for t in project.takes for s in t.subjects})
+    """Subjects of the project, with the distances that vary least."""
     found = []
-    for file in files:
+    for file in _subjects(project):
         one = read_subject(file)
         n = len(one)
         pairs = [

@@ -334,6 +334,13 @@ class SubjectRequest(Message):
     overwrite: bool = False
 
 
+class SubjectEdit(Message):
+    """A subject's name, and the markers that stay: each by its present name, with the one it gets."""
+
+    name: str
+    markers: dict[str, str]
+
+
 class SubjectView(Message):
     """A subject of the project: its markers, and the distances that vary least (two markers, mean and sd in mm)."""
 
@@ -369,6 +376,7 @@ MESSAGES = (
         Problem,
         Notice,
         MarkerSetView,
+        SubjectEdit,
         SubjectRequest,
         SubjectView,
     ),

@@ -11,7 +11,13 @@ from fastapi import APIRouter, Request
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from markerloom.studio import messages as m
-from markerloom.studio.marker_sets import known_sets, marker_set_view, save_marker_set, subject_views
+from markerloom.studio.marker_sets import (
+    edit_subject,
+    known_sets,
+    marker_set_view,
+    save_marker_set,
+    subject_views,
+)
 from markerloom.studio.opening import Entry, Workspace
 from markerloom.studio.requests import Here, Named, UnknownError
 
@@ -79,6 +85,12 @@ def put_marker_set(workspace: Here, name: str, view: m.MarkerSetView) -> m.Done:
 def subjects(workspace: Here) -> list[m.SubjectView]:
     """The subjects of the project."""
     return subject_views(workspace.project)
+
+
+@routes.put("/subjects/{file}")
+def put_subject(workspace: Here, file: str, wanted: m.SubjectEdit) -> m.Done:
+    """Change a subject's names, or let markers go."""
+    return edit_subject(workspace.project, file, wanted)
 
 
 def file_within(folder: Path, name: str) -> Response:

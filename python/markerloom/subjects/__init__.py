@@ -2,7 +2,7 @@
 
 from markerloom.subjects.create import create_subject
 from markerloom.subjects.marker_set import MarkerSet, marker_sets, read_marker_set, write_marker_set
-from markerloom.subjects.subject import Subject, read_subject, write_subject
+from markerloom.subjects.subject import Subject, read_subject, with_markers, write_subject
 
 __all__ = [
     "MarkerSet",
@@ -11,6 +11,7 @@ __all__ = [
     "marker_sets",
     "read_marker_set",
     "read_subject",
+    "with_markers",
     "write_marker_set",
     "write_subject",
 ]

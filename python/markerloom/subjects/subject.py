@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,30 @@ def model_of(subjects: list[Subject]) -> _core.LabelModel:
         heights += [[([first + i for i in base], length) for base, length in own] for own in subject.heights]
         whose += [number] * n
     return _core.LabelModel(whose, distances, heights)
+
+
+def with_markers(subject: Subject, names: dict[str, str]) -> Subject:
+    """The subject with only some of its markers, in its own order: ``names`` has the present name of each that stays,
+    and the one it gets. What is known of the others goes with them. Raises ``InputError`` for unknown or equal names.
+    """
+    strangers = sorted(set(names) - set(subject.markers))
+    if strangers:
+        raise InputError(f"subject '{subject.name}' has no marker '{strangers[0]}'")
+    if len(set(names.values())) < len(names) or "" in names.values():
+        raise InputError(f"markers of subject '{subject.name}' need names of their own")
+    kept = [i for i, m in enumerate(subject.markers) if m in names]
+    place, n = {old: new for new, old in enumerate(kept)}, len(subject)
+    heights = [
+        [([place[b] for b in base], length) for base, length in subject.heights[i] if set(base) <= set(place)]
+        for i in kept
+    ]
+    return replace(
+        subject,
+        markers=tuple(names[subject.markers[i]] for i in kept),
+        segments=tuple(subject.segments[i] for i in kept),
+        distances=[subject.distances[i * n + j] for i in kept for j in kept],
+        heights=heights,
+    )
 
 
 def write_subject(subject: Subject, path: str | Path) -> None:
