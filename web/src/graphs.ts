@@ -5,7 +5,7 @@ import "uplot/dist/uPlot.min.css";
 import { api } from "./api";
 import { h } from "./dom";
 import { main } from "./selection";
-import { drawn } from "./series";
+import { drawn, withPreview } from "./series";
 import * as state from "./state";
 import { after } from "./store";
 import { css } from "./theme";
@@ -25,9 +25,9 @@ export class GraphView {
   private asked = 0;
 
   constructor(private readonly host: HTMLElement) {
-    const { selection, shown, take, options } = state;
+    const { selection, shown, take, options, preview } = state;
     let wait = 0;
-    after([selection, shown, take, options], () => {
+    after([selection, shown, take, options, preview], () => {
       clearTimeout(wait);
       wait = setTimeout(() => this.load(), 60);
     });
@@ -81,6 +81,15 @@ export class GraphView {
       grid: { stroke: css("--grid"), width: 1 },
       ticks: { stroke: css("--grid") },
     };
+    const preview = names.length === 3 && "speed" in series.lows ? state.preview.get() : null;
+    const data = drawn(series, names);
+    const dashed = names.map((label, i) => ({
+      label: `${label} (${preview?.method})`,
+      stroke: COLORS[i],
+      dash: [5, 4],
+      spanGaps: true,
+      points: { show: false },
+    }));
     this.plot = new uPlot(
       {
         ...this.size,
@@ -92,10 +101,11 @@ export class GraphView {
         series: [
           { label: "frame", value: (_, v) => (v === null ? "–" : String(Math.floor(v))) },
           ...names.map((label, i) => ({ label, stroke: COLORS[i], width: 1.2, points: { show: false } })),
+          ...(preview ? dashed : []),
         ],
         hooks: { draw: [() => this.movePlayhead()], ready: [(u) => this.listen(u)] },
       },
-      drawn(series, names) as uPlot.AlignedData,
+      (preview ? withPreview(data, preview) : data) as uPlot.AlignedData,
       this.host,
     );
   }

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { written } from "../src/keys";
-import { drawn } from "../src/series";
+import { drawn, withPreview } from "../src/series";
 import { after, signal } from "../src/store";
 import { heat, markerColor } from "../src/theme";
 
@@ -36,6 +36,33 @@ describe("graphs", () => {
     expect(drawn(series, ["x"])).toEqual([
       [10, 15, 20, 25, 30, 30.5],
       [1, 2, null, null, 3, 9],
+    ]);
+  });
+});
+
+describe("a preview in the graphs", () => {
+  it("lies among the frames of its gap", () => {
+    const data = [
+      [9, 9.5, 12, 12.5],
+      [1, 1, 4, 4],
+      [1, 1, 4, 4],
+      [1, 1, 4, 4],
+    ];
+    const preview = {
+      method: "rigid",
+      first: 10,
+      xyz_mm: [[2, 3, 4] as [number, number, number]],
+      expected_mm: 1,
+      reason: "",
+    };
+    expect(withPreview(data, preview)).toEqual([
+      [9, 9.5, 10.25, 12, 12.5],
+      [1, 1, null, 4, 4],
+      [1, 1, null, 4, 4],
+      [1, 1, null, 4, 4],
+      [null, null, 2, null, null],
+      [null, null, 3, null, null],
+      [null, null, 4, null, null],
     ]);
   });
 });

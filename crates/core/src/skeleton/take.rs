@@ -266,30 +266,54 @@ pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen], known: Option<V
             frames.iter().zip(poses).map(near).collect()
         }
     };
-    let certain: Vec<Option<Certainty>> =
-        frames.iter().zip(&poses).map(|(f, p)| solver.certainty(figure, p, f.evidence(), None, false)).collect();
-    let mut priors = neighbours(figure, step_s, &poses, &certain);
-    let mut out = Vec::with_capacity(frames.len());
-    for ((seen, prior), pose) in frames.iter().zip(&priors).zip(&poses) {
-        let starts = if told_alike(figure, pose, prior) { vec![pose] } else { vec![&prior.pose, pose] };
-        out.push(settled(&mut solver, figure, seen, &starts, prior));
+    let mut round = Round::of(&mut solver, figure, step_s, frames, &poses);
+    if round.misled {
+        // Frames whose neighbours misled them were among the neighbours of others: once more from what came out.
+        let poses: Vec<Pose> = round.out.into_iter().map(|f| f.pose).collect();
+        round = Round::of(&mut solver, figure, step_s, frames, &poses);
     }
+    let Round { mut out, certain, mut priors, .. } = round;
     bridge(&mut solver, figure, step_s, frames, &certain, &mut priors, &mut out);
     out
 }
 
-/// A frame with what its neighbours say of it, from the first start, or from another that explains it much better.
-fn settled(solver: &mut Solver, figure: &Figure, seen: &Seen, starts: &[&Pose], prior: &Prior) -> Frame {
+/// All frames solved with what their neighbours say of them; `misled`: some were better off without it.
+struct Round {
+    out: Vec<Frame>,
+    certain: Vec<Option<Certainty>>,
+    priors: Vec<Prior>,
+    misled: bool,
+}
+
+impl Round {
+    fn of(solver: &mut Solver, figure: &Figure, step_s: f64, frames: &[Seen], poses: &[Pose]) -> Self {
+        let certain: Vec<Option<Certainty>> =
+            frames.iter().zip(poses).map(|(f, p)| solver.certainty(figure, p, f.evidence(), None, false)).collect();
+        let priors = neighbours(figure, step_s, poses, &certain);
+        let (mut out, mut misled) = (Vec::with_capacity(frames.len()), false);
+        for ((seen, prior), pose) in frames.iter().zip(&priors).zip(poses) {
+            let starts = if told_alike(figure, pose, prior) { vec![pose] } else { vec![&prior.pose, pose] };
+            let (frame, other) = settled(solver, figure, seen, &starts, prior);
+            out.push(frame);
+            misled |= other;
+        }
+        Self { out, certain, priors, misled }
+    }
+}
+
+/// A frame with what its neighbours say of it, from the first start, or from another that explains it much better; and
+/// whether it was another.
+fn settled(solver: &mut Solver, figure: &Figure, seen: &Seen, starts: &[&Pose], prior: &Prior) -> (Frame, bool) {
     let mut from = |start: &&Pose| solver.solve(figure, (*start).clone(), seen.evidence(), Some(prior));
-    let mut solved = from(&starts[0]);
+    let (mut solved, mut another) = (from(&starts[0]), false);
     for start in &starts[1..] {
         let other = from(start);
         if other.cost < MUCH_BETTER * solved.cost {
-            solved = other;
+            (solved, another) = (other, true);
         }
     }
     let certainty = solver.certainty(figure, &solved.pose, seen.evidence(), Some(prior), true);
-    Frame { pose: solved.pose, certainty }
+    (Frame { pose: solved.pose, certainty }, another)
 }
 
 /// Frames in which something was not told are solved once more: what is carried through keeps the motion on both sides,
@@ -329,7 +353,7 @@ fn bridge(
     bridge_root(step_s, certain, &told, priors, out);
     for t in (0..frames.len()).filter(|&t| untold[t] || !told[t][0]) {
         let start = priors[t].pose.clone();
-        out[t] = settled(solver, figure, &frames[t], &[&start], &priors[t]);
+        out[t] = settled(solver, figure, &frames[t], &[&start], &priors[t]).0;
     }
 }
 
