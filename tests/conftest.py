@@ -27,3 +27,9 @@ def folder(take: ml.SimulatedTake, tmp_path_factory: pytest.TempPathFactory) -> 
     path = tmp_path_factory.mktemp("take")
     ml.save(take, path)
     return path
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What programs keep for the user is kept for this test alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -89,6 +89,8 @@ def test_frames_can_be_chosen(folder: Path, tmp_path: Path) -> None:
     [
         (["inspect", "nothing.c3d"], 1, "there is no file"),
         (["inspect", "nothing.xyz"], 1, "files are not read"),
+        (["mend", "nothing.c3d", "-o", "a.c3d"], 1, "there is no file nothing.c3d"),
+        (["view", "nothing.c3d"], 1, "there is no file"),
         (["reconstruct"], 2, "Missing argument"),
         (["simulate", "moon", "-o", "out"], 1, "choose one of"),
         (["bench", "nothing"], 1, "bench has no row"),

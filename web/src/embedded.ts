@@ -1,6 +1,6 @@
 // A take inside the page itself: what a server would say of it, without one. It can be looked at, not mended.
 
-import { ABSENT, decode, frameOf, KINDS } from "./chunk";
+import { ABSENT, type Chunk, decode, frameOf, KINDS } from "./chunk";
 import type { Findings, ProjectView, Series, TakeInfo, TakeView, Timeline, Why } from "./wire";
 
 export interface EmbeddedTake {
@@ -18,8 +18,7 @@ function bytes(text: string): ArrayBuffer {
 }
 
 /** Graphs of a trajectory, frame by frame. */
-function series(data: EmbeddedTake, slot: number, first: number, last: number): Series {
-  const chunk = decode(bytes(data.chunk));
+function series(data: EmbeddedTake, chunk: Chunk, slot: number, first: number, last: number): Series {
   const rows = [...Array(Math.max(Math.min(last, chunk.frames) - first, 0)).keys()].map((i) => i + first);
   const place = (row: number, axis: number) =>
     row < 0 || row >= chunk.frames ? Number.NaN : chunk.xyz[3 * (row * chunk.slots + slot) + axis];
@@ -40,8 +39,7 @@ function series(data: EmbeddedTake, slot: number, first: number, last: number): 
   return { frames: rows.map((r) => r + data.take.first_frame), lows: values, highs: values };
 }
 
-function why(data: EmbeddedTake, slot: number, frame: number): Why {
-  const chunk = decode(bytes(data.chunk));
+function why(data: EmbeddedTake, chunk: Chunk, slot: number, frame: number): Why {
   const kind = frameOf(chunk, frame - data.take.first_frame).kind?.[slot] ?? ABSENT;
   const name = data.take.trajectories[slot].name;
   const text =
@@ -53,15 +51,17 @@ const here: TakeInfo["state"] = "ready";
 
 /** What the page asks a server for, answered from the page; everything else needs the studio. */
 export function embeddedApi(data: EmbeddedTake) {
+  const samples = bytes(data.chunk);
+  const chunk = decode(samples);
   return {
     project: async () => data.project,
     open: async (): Promise<TakeInfo> => ({ ...data.project.takes[0], state: here }),
     take: async () => data.take,
     timeline: async () => data.timeline,
-    chunk: async () => bytes(data.chunk),
+    chunk: async () => samples,
     joints: async () => bytes(data.joints),
-    series: async (_: string, slot: number, first: number, last: number) => series(data, slot, first, last),
-    why: async (_: string, slot: number, frame: number) => why(data, slot, frame),
+    series: async (_: string, slot: number, first: number, last: number) => series(data, chunk, slot, first, last),
+    why: async (_: string, slot: number, frame: number) => why(data, chunk, slot, frame),
     findings: async () => data.findings,
   };
 }

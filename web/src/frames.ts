@@ -9,7 +9,6 @@ export class FrameStore {
   private chunks = new Map<number, Chunk>();
   private loading = new Set<number>();
   private wanted: number[] = [];
-  private generation = 0;
   private overview: Chunk | null = null;
   /** Of how many frames the overview has one. */
   stride = 0;
@@ -62,15 +61,6 @@ export class FrameStore {
     if (index * this.chunkFrames < this.frames && !this.chunks.has(index)) this.want(index);
   }
 
-  /** Forget everything: the take was changed. */
-  clear(): void {
-    this.generation += 1;
-    this.chunks.clear();
-    this.overview = null;
-    this.loading.clear();
-    this.wanted = [];
-  }
-
   private want(index: number): void {
     if (this.loading.has(index)) return;
     this.wanted = [index, ...this.wanted.filter((i) => i !== index)].slice(0, AT_ONCE);
@@ -80,12 +70,10 @@ export class FrameStore {
   private next(): void {
     while (this.loading.size < AT_ONCE && this.wanted.length > 0) {
       const index = this.wanted.shift()!;
-      const generation = this.generation;
       this.loading.add(index);
       this.load(index * this.chunkFrames, this.chunkFrames).then(
-        (buffer) => this.keep(index, generation, buffer),
+        (buffer) => this.keep(index, buffer),
         (error) => {
-          if (generation !== this.generation) return;
           this.loading.delete(index);
           this.failed(error);
         },
@@ -93,8 +81,7 @@ export class FrameStore {
     }
   }
 
-  private keep(index: number, generation: number, buffer: ArrayBuffer): void {
-    if (generation !== this.generation) return;
+  private keep(index: number, buffer: ArrayBuffer): void {
     this.loading.delete(index);
     this.chunks.set(index, decode(buffer));
     for (const oldest of this.chunks.keys()) {

@@ -11,7 +11,6 @@ const WAITING = "markerloom.waiting";
 
 interface Waiting {
   take: string;
-  revision: number;
   edit: Wanted;
 }
 
@@ -29,7 +28,7 @@ export async function edit(wanted: Wanted): Promise<boolean> {
     return true;
   } catch (error) {
     if (error instanceof ServerError && error.kind === "offline") {
-      const waiting: Waiting = { take: take.name, revision: take.revision, edit: wanted };
+      const waiting: Waiting = { take: take.name, edit: wanted };
       localStorage.setItem(WAITING, JSON.stringify(waiting));
       state.complain(new Error("The server does not answer. Your edit is kept, and made when it is back."));
       return false;

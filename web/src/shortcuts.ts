@@ -33,10 +33,8 @@ export function toGap(forward: boolean): void {
 }
 
 /** To the next thing that is worth a look. */
-export function toFinding(forward: boolean, kinds?: string[]): void {
-  const found = (state.findings.get()?.findings ?? []).filter((f) =>
-    kinds ? kinds.includes(f.kind) : f.kind !== "gap",
-  );
+export function toFinding(forward: boolean): void {
+  const found = (state.findings.get()?.findings ?? []).filter((f) => f.kind !== "gap");
   const here = state.frameNumber();
   const next = forward ? found.find((f) => f.first > here) : found.findLast((f) => f.first < here);
   if (next === undefined) return state.say(`Nothing suspicious ${forward ? "after" : "before"} this frame.`);

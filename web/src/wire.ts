@@ -259,14 +259,6 @@ export interface Notice {
 }
 
 /**
- * A trajectory by slot, and a frame in which to point at it.
- */
-export interface Pointed {
-  slot: number;
-  frame: number;
-}
-
-/**
  * How a method would fill a gap: places (mm) by frame, expected error (mm); ``reason`` where it cannot.
  */
 export interface Preview {

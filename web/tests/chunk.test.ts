@@ -97,17 +97,6 @@ describe("the store of frames", () => {
     expect(asked[2]).toBe(990);
   });
 
-  it("forgets everything when the take was changed, even what is still on its way", async () => {
-    let done: (b: ArrayBuffer) => void = () => {};
-    const load = () => new Promise<ArrayBuffer>((resolve) => (done = resolve));
-    const store = new FrameStore(10, 100, load, never, never);
-    store.get(0);
-    store.clear();
-    done(written(0, 10, 1));
-    await settled();
-    expect(store.peek(0)).toBeNull();
-  });
-
   it("tells what went wrong, and may be asked again", async () => {
     const errors: unknown[] = [];
     const store = new FrameStore(

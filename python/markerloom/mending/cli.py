@@ -31,10 +31,11 @@ def mend(
     """
     if formats.ending(output) not in formats.POINTS_WRITTEN:
         raise typer.BadParameter(f"{output}: points are written as {', '.join(formats.POINTS_WRITTEN)}")
+    points = formats.read_points(take)
     listed = edits_path(take) if edits is None else edits
     if not listed.is_file():
         raise InputError(f"there are no edits {listed}: make some with `markerloom view {take}`, or name --edits")
-    mended = run_mend(formats.read_points(take), listed)
+    mended = run_mend(points, listed)
     formats.write_points(mended, output)
     if report is not None:
         reports.save(reports.of_run([take, listed], {"edits": listed.name}, mended.report), report)

@@ -33,7 +33,7 @@ def view(
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the file has none.")] = None,
     port: Annotated[int, typer.Option(help="0: the one of last time, or any.", min=0, max=65535)] = 0,
     page: Annotated[
-        Path | None, typer.Option("--page", help="Write the take into one page instead.", metavar="FILE.html")
+        Path | None, typer.Option("--page", help="Write a file into one page instead.", metavar="FILE.html")
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
@@ -62,9 +62,11 @@ def view(
 
 
 def page_of(workspace: Workspace, path: Path) -> Done:
-    """The first take as a page that needs no server."""
+    """A file as a page that needs no server."""
     if path.suffix != ".html":
         raise InputError(f"pages are written as .html ({path})")
+    if workspace.is_project:
+        raise InputError("the takes of a project have their pages from `markerloom process`: results/TAKE/view.html")
     entry = next(iter(workspace.entries.values()))
     return save_page(open_take(workspace.project, entry.settings), path)
 

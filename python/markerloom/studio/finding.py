@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from markerloom.errors import MarkerloomError
 from markerloom.labelling import check_labels
+from markerloom.labelling.check import JUMP_MM
 from markerloom.mending.sheet import ABSENT, Sheet
 from markerloom.studio import messages
 from markerloom.studio.opened import OpenTake
@@ -17,7 +18,6 @@ Array = NDArray[Any]
 HIGH = 6.0
 """A residual is high from so many times the typical one of its trajectory."""
 JUMP_SIGMAS = 12.0
-LEAST_JUMP_MM = 15.0
 CHECKED_SAMPLES = 2_000_000
 """Takes with more samples are not checked for wrong names while somebody waits."""
 MOST = 2000
@@ -88,7 +88,7 @@ def _jumps(sheet: Sheet, slot: int) -> list[messages.Finding]:
         return []
     typical = 1.48 * float(np.median(bent[known]))
     out = []
-    for first, last in _runs(known & (bent > max(JUMP_SIGMAS * typical, 3.0 * LEAST_JUMP_MM)), join=4):
+    for first, last in _runs(known & (bent > max(JUMP_SIGMAS * typical, 3.0 * JUMP_MM)), join=4):
         text = f"{sheet.name(slot)} jumps"
         out.append(_finding(sheet, "jump", slot, first + 1, last + 2, text))
     return out

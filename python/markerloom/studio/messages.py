@@ -271,13 +271,6 @@ class RevisionRequest(Message):
     revision: int
 
 
-class Pointed(Message):
-    """A trajectory by slot, and a frame in which to point at it."""
-
-    slot: int
-    frame: int
-
-
 class ExportRequest(Message):
     """Write the mended take; ``file``: a name with an ending, in the take's own folder of results."""
 
@@ -370,7 +363,6 @@ MESSAGES = (
     *(
         EditRequest,
         RevisionRequest,
-        Pointed,
         ExportRequest,
         Done,
         Problem,

@@ -12,7 +12,7 @@ from markerloom.formats.files import write_text
 from markerloom.project import Project, TakeSettings
 from markerloom.studio import chunks, finding, looking, messages
 from markerloom.studio.opened import OpenTake, open_take
-from markerloom.studio.page import built_page, page_can_be_built
+from markerloom.studio.page import built_page, page_is_built
 
 
 def save_page(take: OpenTake, path: Path) -> messages.Done:
@@ -58,7 +58,7 @@ def save_page(take: OpenTake, path: Path) -> messages.Done:
 
 def save_view(project: Project, settings: TakeSettings, path: Path) -> None:
     """The same for a take that `process` has just made; nothing where the page is not built."""
-    if page_can_be_built():
+    if page_is_built():
         save_page(open_take(project, settings), path)
 
 
