@@ -277,3 +277,26 @@ def adjust_board(
     view: Sequence[Sequence[int]],
     pixel: Sequence[Sequence[float]],
 ) -> dict[str, Any]: ...
+def band_count(frames: int) -> int: ...
+def split_bands(values: Floats, count: int) -> Floats: ...
+def equalise_bands(values: Floats, gains: Floats) -> Floats: ...
+
+class Clouds:
+    def __init__(self, points_m: Floats, weights: Sequence[float], half: int) -> None: ...
+    def distances(self, other: Clouds) -> Floats: ...
+    def alignment(self, at: int, other: Clouds, other_at: int) -> tuple[float, list[float], float]: ...
+
+
+
+def change_motion(
+    parents: Sequence[int | None],
+    offsets_m: Sequence[Sequence[float]],
+    root_m: Floats,
+    turns: Floats,
+    freedoms: Sequence[tuple[int, Sequence[float], bool, float]],
+    goals: Sequence[tuple[str, int, int, Sequence[float], int, Sequence[float], Sequence[float], float]],
+    levels: Sequence[tuple[int, float]],
+    eases: float,
+    tolerance_m: float,
+    window: tuple[int, int],
+) -> tuple[Floats, Floats, list[float]]: ...

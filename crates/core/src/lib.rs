@@ -11,6 +11,7 @@ pub mod chi2;
 pub mod correspond;
 pub mod detect;
 pub mod label;
+pub mod motion;
 pub mod reconstruct;
 pub mod sight;
 pub mod skeleton;

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from markerloom.errors import InputError
 from markerloom.formats.files import write_bytes
-from markerloom.skeleton.motion import Motion
+from markerloom.skeleton.motion import Motion, quaternions
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
@@ -108,14 +107,6 @@ def _animation(gltf: Any, blob: _Blob, motion: Motion) -> Any:
         if j > 0 and motion.shifts_m is not None:
             channel(j, "translation", motion.shifts_m[:, j], "VEC3")
     return animation
-
-
-def quaternions(rotations: Array) -> Array:
-    """Rotations as quaternions x y z w that do not change their sign from one frame to the next."""
-    q = Rotation.from_matrix(rotations).as_quat()
-    flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-    q[1:] *= flips[:, None]
-    return q
 
 
 def _bones(skeleton: Skeleton, places: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:

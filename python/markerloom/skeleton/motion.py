@@ -163,3 +163,11 @@ def euler(order: str, rotations: Array) -> Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return Rotation.from_matrix(rotations).as_euler(order)
+
+
+def quaternions(rotations: Array) -> Array:
+    """Rotations as quaternions x y z w that do not change their sign from one frame to the next."""
+    q = Rotation.from_matrix(rotations).as_quat()
+    flips = np.cumprod(np.where((q[1:] * q[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    q[1:] *= flips[:, None]
+    return q

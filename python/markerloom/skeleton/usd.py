@@ -11,8 +11,7 @@ import numpy as np
 
 from markerloom.errors import InputError
 from markerloom.formats.files import write_bytes
-from markerloom.skeleton.glb import quaternions
-from markerloom.skeleton.motion import Motion
+from markerloom.skeleton.motion import Motion, quaternions
 from markerloom.skeleton.skeleton import Skeleton
 
 

@@ -1,0 +1,189 @@
+"""The engine's one least-squares problem over a whole clip, told in joints and places: see `core/motion/spacetime.rs`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from markerloom import _core
+from markerloom.motion.body import ARM, SIDES, Body
+from markerloom.motion.feet import NEAR_FLOOR_M, Feet, Plant
+from markerloom.motion.rotations import about, reference
+from markerloom.skeleton.motion import Motion
+
+Array = NDArray[np.floating[Any]]
+Freedom = tuple[int, list[float], bool, float]
+Goal = tuple[str, int, int, list[float], int, list[float], list[float], float]
+TOLERANCE_M = 1e-5
+LEVELS = [(4, 3e-3), (2, 1e-3), (1, 1e-4), (1, 1e-5)]
+"""Levels of splines: frames from knot to knot, and what a goal may be missed by at the price of a usual change (m)."""
+EASES_S = 0.08
+"""Change eases in and out over this time (s)."""
+WINDOW, OVERLAP_S = 1500, 1.0
+"""Frames of a window, and how long two of them share (s)."""
+ROOT_M, ROOT_RAD = 0.03, 0.02
+"""Usual changes: of the root's place (for legs of usual length), and of its turn."""
+BALL_RAD, HINGE_RAD, TRUNK_RAD = 0.15, 0.3, 0.05
+"""Usual changes of hips, ankles, shoulders and wrists; of knees and elbows; of joints of the trunk."""
+BENDS_RAD = 0.1
+"""A joint that bends less than this in a clip does not show its axis."""
+STRAIGHT = 0.998
+"""A knee that is straighter than this part of the leg's length pops; a leg may be as straight as its source was."""
+NOWHERE = [0.0, 0.0, 0.0]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The motion, and by how much each goal is missed (m)."""
+
+    motion: Motion
+    missed_m: Array
+
+
+def changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal]) -> Solved:
+    """The motion that meets the goals and differs as little as that allows."""
+    skeleton = motion.skeleton
+    overlap = max(8, round(OVERLAP_S * motion.rate_hz))
+    root_m, turns, missed = _core.change_motion(
+        [None if p < 0 else p for p in skeleton.parents],
+        skeleton.offsets_m.tolist(),
+        np.ascontiguousarray(motion.root_m, float),
+        np.ascontiguousarray(motion.turns, float),
+        freedoms,
+        goals,
+        LEVELS,
+        EASES_S * motion.rate_hz,
+        TOLERANCE_M,
+        (max(WINDOW, 4 * overlap), overlap),
+    )
+    return Solved(replace(motion, root_m=root_m, turns=turns), np.array(missed))
+
+
+def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
+    """What may change so that feet stand: the root a little, hips, knees about their axes, ankles, and the joints
+    between ankle and ball where these move the ball.
+    """
+    free = _root(feet.scale)
+    for side in SIDES:
+        free += _ball(body.parts[f"{side}_upper_leg"], BALL_RAD)
+        free += hinge(motion, body, side, ("upper_leg", "lower_leg", "foot"))
+        free += _ball(body.parts[f"{side}_foot"], BALL_RAD)
+        # Toes bend so that they do not enter the floor, and where they move the ball.
+        for part in ("ball", "toe"):
+            joint, local = feet.places.get(f"{side[0]}_{part}", (0, np.zeros(3)))
+            if joint != body.parts[f"{side}_foot"] and np.any(local):
+                free += _ball(joint, BALL_RAD)
+    return _unique(free)
+
+
+def arm_freedoms(motion: Motion, body: Body, side: str) -> list[Freedom]:
+    """What may change so that a hand is somewhere: shoulder, elbow, and the trunk a little."""
+    free: list[Freedom] = []
+    for j in (*body.spine, body.parts.get("chest", -1)):
+        if j > 0:
+            free += _ball(j, TRUNK_RAD)
+    chain = body.chain(side, ARM)
+    if f"{side}_upper_arm" in body.parts:
+        free += _ball(body.parts[f"{side}_upper_arm"], BALL_RAD)
+    if f"{side}_forearm" in body.parts:
+        free += hinge(motion, body, side, ("upper_arm", "forearm", "hand"))
+    if f"{side}_hand" in body.parts and len(chain) > 2:
+        free += _ball(body.parts[f"{side}_hand"], BALL_RAD)
+    return free
+
+
+def head_freedoms(body: Body) -> list[Freedom]:
+    """What may change so that somebody looks somewhere."""
+    joints = [*body.neck, *([body.parts["head"]] if "head" in body.parts else [])]
+    return [f for j in joints for f in _ball(j, BALL_RAD)]
+
+
+def _root(scale: float) -> list[Freedom]:
+    eye = np.eye(3).tolist()
+    return [(0, axis, True, ROOT_M * scale) for axis in eye] + [(0, axis, False, ROOT_RAD) for axis in eye]
+
+
+def _ball(joint: int, usual: float) -> list[Freedom]:
+    return [(joint, axis, False, usual) for axis in np.eye(3).tolist()]
+
+
+def _unique(free: list[Freedom]) -> list[Freedom]:
+    """Sorted by joint, the root's shifts first; what is there twice once."""
+    seen: dict[tuple[int, tuple[float, ...], bool], Freedom] = {}
+    for f in free:
+        seen.setdefault((f[0], tuple(f[1]), f[2]), f)
+    return sorted(seen.values(), key=lambda f: (f[0], not f[2]))
+
+
+def together(*parts: list[Freedom]) -> list[Freedom]:
+    """Several sets of freedoms as one."""
+    return _unique([f for part in parts for f in part])
+
+
+def hinge(motion: Motion, body: Body, side: str, parts: tuple[str, str, str]) -> list[Freedom]:
+    """A knee or elbow: it bends about one axis, the one it bends about in the clip, or across the plane of its limb."""
+    top, joint, end = (body.parts.get(f"{side}_{part}", -1) for part in parts)
+    vectors = about(reference(motion.turns[:, joint]), motion.turns[:, joint])
+    _, size, axes = np.linalg.svd(vectors - vectors.mean(axis=0), full_matrices=False)
+    if len(vectors) > 2 and size[0] / np.sqrt(len(vectors)) > BENDS_RAD / 2.0 and size[0] > 3.0 * size[1]:
+        return [(joint, axes[0].tolist(), False, HINGE_RAD)]
+    turn, place = motion.segments()
+    if min(top, end) < 0 or not len(motion):
+        return _ball(joint, BALL_RAD)
+    normal = np.cross(place[:, joint] - place[:, top], place[:, end] - place[:, joint])
+    most = int(np.argmax(np.linalg.norm(normal, axis=1)))
+    length = float(np.linalg.norm(normal[most]))
+    bones = float(np.prod(body.skeleton.bone_lengths_m()[[joint, end]]))
+    if length < np.sin(BENDS_RAD) * max(bones, 1e-12):
+        return _ball(joint, BALL_RAD)
+    return [(joint, (turn[most, joint].T @ normal[most] / length).tolist(), False, HINGE_RAD)]
+
+
+def plant_goals(feet: Feet, plants: list[Plant]) -> list[Goal]:
+    """Places of feet that stand where they stand."""
+    goals: list[Goal] = []
+    for p in plants:
+        joint, local = feet.places[p.site]
+        where = list(p.where_m or NOWHERE)
+        goals += [("at", f, joint, list(local), 0, NOWHERE, where, 0.0) for f in range(p.start, p.stop)]
+    return goals
+
+
+def floor_goals(motion: Motion, feet: Feet, plants: list[Plant], floor: float) -> list[Goal]:
+    """All other places of the feet, where they come near the floor: not below it."""
+    held = {(p.site, f) for p in plants for f in range(p.start, p.stop)}
+    goals: list[Goal] = []
+    for name, places in feet.world_m(motion).items():
+        joint, local = feet.places[name]
+        near = np.flatnonzero(places[:, 2] < floor + NEAR_FLOOR_M * feet.scale)
+        goals += [
+            ("above", int(f), joint, list(local), 0, NOWHERE, NOWHERE, floor) for f in near if (name, int(f)) not in held
+        ]
+    return goals
+
+
+def straightness(motion: Motion, body: Body, side: str) -> Array:
+    """How straight a leg is (frames): distance from hip to ankle as a part of the lengths of thigh and shank."""
+    place = motion.joints_m()
+    hip, knee, ankle = (body.parts[f"{side}_{part}"] for part in ("upper_leg", "lower_leg", "foot"))
+    bones = np.linalg.norm(place[:, knee] - place[:, hip], axis=1) + np.linalg.norm(
+        place[:, ankle] - place[:, knee], axis=1
+    )
+    return np.linalg.norm(place[:, ankle] - place[:, hip], axis=1) / bones
+
+
+def knee_goals(motion: Motion, body: Body) -> list[Goal]:
+    """No leg straighter than it may be, so that knees do not pop."""
+    goals: list[Goal] = []
+    place = motion.joints_m()
+    for side in SIDES:
+        hip, knee, ankle = (body.parts[f"{side}_{part}"] for part in ("upper_leg", "lower_leg", "foot"))
+        straight = straightness(motion, body, side)
+        bones = np.linalg.norm(place[0, knee] - place[0, hip]) + np.linalg.norm(place[0, ankle] - place[0, knee])
+        allowed = np.maximum(straight, STRAIGHT) * bones
+        near = np.flatnonzero(straight > STRAIGHT - 0.05)
+        goals += [("within", int(f), hip, NOWHERE, ankle, NOWHERE, NOWHERE, float(allowed[f])) for f in near]
+    return goals
