@@ -296,7 +296,7 @@ def change_motion(
     freedoms: Sequence[tuple[int, Sequence[float], bool, float]],
     goals: Sequence[tuple[str, int, int, Sequence[float], int, Sequence[float], Sequence[float], float]],
     levels: Sequence[tuple[int, float]],
-    eases: float,
+    sharp: Floats,
     tolerance_m: float,
     window: tuple[int, int],
 ) -> tuple[Floats, Floats, list[float]]: ...

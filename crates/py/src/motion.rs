@@ -121,7 +121,7 @@ pub fn change_motion<'py>(
     freedoms: Vec<GivenFreedom>,
     goals: Vec<GivenGoal>,
     levels: Vec<(usize, f64)>,
-    eases: f64,
+    sharp: PyReadonlyArray2<'py, f64>,
     tolerance_m: f64,
     window: (usize, usize),
 ) -> PyResult<Changed<'py>> {
@@ -133,13 +133,17 @@ pub fn change_motion<'py>(
     if window.1 == 0 || window.0 <= window.1 || levels.iter().any(|l| l.0 == 0 || l.1 <= 0.0) {
         return Err(PyValueError::new_err("windows that do not advance"));
     }
+    if sharp.as_array().dim() != (frames, freedoms.len()) || sharp.as_array().iter().any(|s| s.is_nan() || *s <= 0.0) {
+        return Err(PyValueError::new_err("how sharply each freedom may change in each frame"));
+    }
+    let sharp = sharp.as_slice()?.to_vec();
     let goals = goals.into_iter().map(|g| goal(g, frames, joints)).collect::<PyResult<Vec<_>>>()?;
     let bones = Bones { parents, offsets_m: offsets_m.into_iter().map(Vector3::from).collect() };
     let freedoms: Vec<Freedom> = freedoms
         .into_iter()
         .map(|(joint, axis, shift, usual)| Freedom { joint, axis: axis.into(), shift, usual })
         .collect();
-    let options = Options { levels, eases, tolerance_m, window: window.0, overlap: window.1 };
+    let options = Options { levels, sharp, tolerance_m, window: window.0, overlap: window.1 };
     let mut clip = clip_of(&root_m, &turns)?;
     let before = clip.clone();
     let off = py.detach(|| change(&bones, &mut clip, &freedoms, &goals, &options));

@@ -24,6 +24,8 @@ from markerloom.skeleton.motion import Motion
 Array = NDArray[np.floating[Any]]
 EDGE = 0.182
 """Half of a signal of this frequency (cycles per frame) is left in the first smoothed level."""
+BODY_HZ = 2.0
+"""A body's path is in the bands that begin below this; what is faster is its trembling, and that of the capture."""
 PRESETS: dict[str, list[tuple[float, float]]] = {
     "calmer": [(0.3, 1.0), (1.0, 0.8), (3.0, 0.5), (8.0, 0.4)],
     "livelier": [(0.3, 1.0), (1.0, 1.2), (3.0, 1.5), (8.0, 1.2), (15.0, 1.0)],
@@ -86,6 +88,13 @@ def split(motion: Motion, joint: str) -> Array:
         raise InputError(f"there is no joint '{joint}' in {motion.source or motion.skeleton.name}")
     vectors = about(reference(motion.turns[:, j]), motion.turns[:, j])
     return _core.split_bands(np.ascontiguousarray(vectors), _core.band_count(len(motion)))
+
+
+def low_passed(values: Array, rate_hz: float, hz: float = BODY_HZ) -> Array:
+    """The bands of signals (frames, columns) below a frequency."""
+    spans = band_hz(len(values), rate_hz)
+    gains = np.array([0.0 if low > hz else 1.0 for low, _ in spans] + [1.0])
+    return _weighted(values, gains)
 
 
 def _spans(motion: Motion) -> list[tuple[float, float]]:

@@ -35,21 +35,28 @@ AROUND = 5
 """A joint may jump as it jumps within so many frames of the same moment in its source."""
 
 
-def sharpness(motion: Motion, sources: list[tuple[Motion, Array]]) -> Array:
+def near_or_usual(acceleration: Array) -> Array:
+    """The largest acceleration (frames, joints) within 5 frames, or its 99th percentile, if that is larger."""
+    padded = np.pad(acceleration, ((AROUND, AROUND), (0, 0)), mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1, axis=0).max(axis=2)
+    return np.maximum(near, np.percentile(acceleration, 99, axis=0)) if len(acceleration) else acceleration
+
+
+def sharpness(motion: Motion, sources: list[tuple[Motion, Array]], joints: list[int] | None = None) -> Array:
     """How sharp every joint is beside its sources (frames, joints): its acceleration over the largest that a source
     has at that joint within 5 frames of the moment it comes from, or over its 99th percentile, if that is larger.
 
-    ``sources``: motions of the same joints with, for every frame, the frame that it comes from (NaN: from none).
+    ``sources``: motions with, for every frame, the frame that it comes from (NaN: from none); ``joints``: of every
+    joint the source's joint that it follows, where the skeletons differ.
     """
     bound = np.full((len(motion), len(motion.skeleton)), 1e-3)
     for source, frames in sources:
         own = accelerations(source)
-        usual = np.percentile(own, 99, axis=0) if len(own) else np.zeros(own.shape[1])
-        padded = np.pad(own, ((AROUND, AROUND), (0, 0)), mode="edge")
-        near = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1, axis=0).max(axis=2)
+        if joints is not None:
+            own = own[:, joints]
         known = np.isfinite(frames)
         at = np.clip(np.round(frames[known]).astype(int), 0, len(source) - 1)
-        bound[known] = np.maximum(bound[known], np.maximum(near[at], usual))
+        bound[known] = np.maximum(bound[known], near_or_usual(own)[at])
     return accelerations(motion) / bound
 
 

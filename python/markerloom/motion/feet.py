@@ -7,6 +7,7 @@ ball (after Kovar, Schreiner & Gleicher 2002, "Footskate cleanup for motion capt
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,10 +25,15 @@ USUAL_LEG_M = 0.84
 """Distances and speeds of standing feet are those of somebody with legs of this length."""
 STEADIER = np.array([1.0, 1.0, 3.0])
 """A place that stands moves less upwards than sideways: a heel that rises has begun to leave the floor."""
-APART_S = 0.1
+SLOWER = 2.0
+"""In single frames a place that stands may be so many times as fast: over a stance it stays in its box."""
+APART_S = 0.2
 """Between two stances of one place in different spots there is at least so much time."""
 BELOW_M = 0.06
 """The floor is at most so far below the lowest place of a standing foot: joints are inside of feet."""
+TURNS_S, ALIKE_M, SHORTEST = 0.1, 1e-3, 3
+"""A foot needs so long (s) to turn from a stance of one end to one of the other that is further from it than the foot
+is long (m). A stance shorter than so many frames is none."""
 NEAR_FLOOR_M = 0.12
 """Places higher than this above the floor cannot get into it by a small change."""
 
@@ -128,7 +134,7 @@ def find_plants(motion: Motion, feet: Feet) -> list[Plant]:
         low = smooth[:, 2] < np.percentile(smooth[:, 2], 3) + LOW_M * feet.scale
         shortest = max(3, round(STANDS_S * motion.rate_hz))
         apart = max(2, round(APART_S * motion.rate_hz))
-        for first, last in runs(low & (speed < SLOW_M_PER_S * feet.scale)):
+        for first, last in runs(low & (speed < SLOWER * SLOW_M_PER_S * feet.scale)):
             spans = _still(places, first, last, STAYS_M * feet.scale, shortest, apart)
             out += [Plant(name, a, b) for a, b in spans]
     return sorted(out, key=lambda p: (p.start, p.site))
@@ -187,44 +193,57 @@ def rest_heights(skeleton: Skeleton, feet: Feet) -> dict[str, float]:
     return {name: h - lowest[name[0]] for name, h in height.items()}
 
 
-def placed(motion: Motion, feet: Feet, plants: list[Plant], floor: float) -> list[Plant]:
-    """Plants with where they stand: at the middle of where they are, never below the floor. Two places of one foot that
-    stand at the same time are as far from each other as the foot is long.
+def placed(
+    motion: Motion, feet: Feet, plants: list[Plant], floor: float, height: Callable[[Plant], float] | None = None
+) -> list[Plant]:
+    """Plants with where they stand: at the middle of where they are, or at a given height (m, world), never below the
+    floor. Two places of one foot that stand at the same time are as far from each other as the foot is long.
     """
     world = feet.world_m(motion)
+    margin = max(2, round(TURNS_S * motion.rate_hz))
     done: list[Plant] = []
     for plant in sorted(plants, key=lambda p: (p.start - p.stop, p.start, p.site)):
-        fellows = sorted((d for d in done if _together(d, plant)), key=lambda d: -_overlap(d, plant))
-        plant = _without(plant, fellows[1:])
-        if plant.stop - plant.start < 2:
-            continue
-        own = world[plant.site][plant.start : plant.stop]
-        where = own.mean(axis=0) if plant.where_m is None else np.array(plant.where_m)
-        if plant.where_m is None:
-            where[2] = max(where[2], floor)
-            if fellows:
-                where = _beside(np.array(fellows[0].where_m), where, feet.span_m.get(plant.site[0]))
-        done.append(replace(plant, where_m=(float(where[0]), float(where[1]), float(where[2]))))
+        span = feet.span_m.get(plant.site[0])
+        near = sorted((d for d in done if _same_foot(d, plant)), key=lambda d: -_overlap(d, plant))
+        fellow = near[0] if near and _overlap(near[0], plant) > 0 else None
+        where = world[plant.site][plant.start : plant.stop].mean(axis=0)
+        where[2] = max(where[2] if height is None else height(plant), floor)
+        if fellow is not None:
+            where = _beside(np.array(fellow.where_m), where, span)
+        if plant.where_m is not None:
+            where = np.array(plant.where_m)
+        others = [d for d in near if d is not fellow and _off_span(d, where, span) > ALIKE_M]
+        kept = _without(plant, others, margin)
+        if kept.stop - kept.start >= SHORTEST:
+            done.append(replace(kept, where_m=(float(where[0]), float(where[1]), float(where[2]))))
     return sorted(done, key=lambda p: (p.start, p.site))
+
+
+def _same_foot(a: Plant, b: Plant) -> bool:
+    return a.site[0] == b.site[0] and a.site != b.site
 
 
 def _overlap(a: Plant, b: Plant) -> int:
     return min(a.stop, b.stop) - max(a.start, b.start)
 
 
-def _without(plant: Plant, others: list[Plant]) -> Plant:
-    """A plant that leaves the frames of others alone: a foot cannot keep its length to two stances of its other end."""
+def _off_span(other: Plant, where: Array, span: float | None) -> float:
+    return 0.0 if span is None else abs(float(np.linalg.norm(np.array(other.where_m) - where)) - span)
+
+
+def _without(plant: Plant, others: list[Plant], margin: int) -> Plant:
+    """A plant that leaves the frames of others alone, and those around them: a foot cannot keep its length to two
+    stances of its other end, and needs time to turn from one to the next.
+    """
     start, stop = plant.start, plant.stop
     for other in others:
         if other.start <= start:
-            start = max(start, other.stop)
+            start = max(start, other.stop + margin)
+        elif other.stop >= stop or other.start - start >= stop - other.stop:
+            stop = min(stop, other.start - margin)
         else:
-            stop = min(stop, other.start)
-    return replace(plant, start=start, stop=max(start, stop))
-
-
-def _together(a: Plant, b: Plant) -> bool:
-    return a.site[0] == b.site[0] and a.site != b.site and _overlap(a, b) > 0
+            start = max(start, other.stop + margin)
+    return replace(plant, start=min(max(start, plant.start), plant.stop), stop=max(min(stop, plant.stop), start))
 
 
 def _beside(fixed: Array, wanted: Array, span: float | None) -> Array:

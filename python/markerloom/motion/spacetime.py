@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from markerloom import _core
 from markerloom.motion.body import ARM, SIDES, Body
+from markerloom.motion.edited import accelerations, near_or_usual
 from markerloom.motion.feet import NEAR_FLOOR_M, Feet, Plant
 from markerloom.motion.rotations import about, reference
 from markerloom.skeleton.motion import Motion
@@ -20,14 +21,15 @@ Goal = tuple[str, int, int, list[float], int, list[float], list[float], float]
 TOLERANCE_M = 1e-5
 LEVELS = [(4, 3e-3), (2, 1e-3), (1, 1e-4), (1, 1e-5)]
 """Levels of splines: frames from knot to knot, and what a goal may be missed by at the price of a usual change (m)."""
-EASES_S = 0.08
-"""Change eases in and out over this time (s)."""
+SHARP = 0.5
+"""A change is sharp where it adds this part of the acceleration that a joint has there anyway."""
+LEAST_SHARP_M_PER_S2 = 0.3
 WINDOW, OVERLAP_S = 1500, 1.0
 """Frames of a window, and how long two of them share (s)."""
 ROOT_M, ROOT_RAD = 0.03, 0.02
 """Usual changes: of the root's place (for legs of usual length), and of its turn."""
-BALL_RAD, HINGE_RAD, TRUNK_RAD = 0.15, 0.3, 0.05
-"""Usual changes of hips, ankles, shoulders and wrists; of knees and elbows; of joints of the trunk."""
+BALL_RAD, HINGE_RAD, TRUNK_RAD, TOES_RAD = 0.15, 0.3, 0.05, 0.4
+"""Usual changes of hips, ankles, shoulders and wrists; of knees and elbows; of joints of the trunk; of toes."""
 BENDS_RAD = 0.1
 """A joint that bends less than this in a clip does not show its axis."""
 STRAIGHT = 0.998
@@ -55,11 +57,32 @@ def changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal]) -> Solve
         freedoms,
         goals,
         LEVELS,
-        EASES_S * motion.rate_hz,
+        _sharp(motion, freedoms),
         TOLERANCE_M,
         (max(WINDOW, 4 * overlap), overlap),
     )
     return Solved(replace(motion, root_m=root_m, turns=turns), np.array(missed))
+
+
+def _sharp(motion: Motion, freedoms: list[Freedom]) -> Array:
+    """How sharply each freedom may change in each frame (frames, freedoms; rad or m per frame²): by how much the joints
+    that it moves are accelerated anyway, there or usually.
+    """
+    skeleton = motion.skeleton
+    usual = np.maximum(near_or_usual(accelerations(motion)), LEAST_SHARP_M_PER_S2) * SHARP / motion.rate_hz**2
+    reach = skeleton.bone_lengths_m().copy()
+    reach[0] = 0.0
+    # The lever of a turn: the longest way down from the joint.
+    longest = np.zeros(len(skeleton))
+    for j in range(len(skeleton) - 1, 0, -1):
+        p = skeleton.parents[j]
+        longest[p] = max(longest[p], longest[j] + reach[j])
+    columns = []
+    for joint, _, shift, _ in freedoms:
+        ends = [joint, *skeleton.children(joint)]
+        lever = 1.0 if shift else max(longest[joint], 0.1 * longest[0])
+        columns.append(usual[:, ends].max(axis=1) / lever)
+    return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.zeros((len(motion), 0))
 
 
 def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
@@ -75,7 +98,7 @@ def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
         for part in ("ball", "toe"):
             joint, local = feet.places.get(f"{side[0]}_{part}", (0, np.zeros(3)))
             if joint != body.parts[f"{side}_foot"] and np.any(local):
-                free += _ball(joint, BALL_RAD)
+                free += _ball(joint, TOES_RAD)
     return _unique(free)
 
 

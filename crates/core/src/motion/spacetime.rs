@@ -49,8 +49,9 @@ pub struct Freedom {
 pub struct Options {
     /// Levels: frames from knot to knot, and what a goal may be missed by at the price of a usual change (m).
     pub levels: Vec<(usize, f64)>,
-    /// Change eases in and out over this many frames.
-    pub eases: f64,
+    /// How sharply each freedom may change in each frame (second difference; rad or m per frame²): a change that does
+    /// costs 1. Frame after frame, of all freedoms.
+    pub sharp: Vec<f64>,
     /// Goals are missed by less than this (m).
     pub tolerance_m: f64,
     /// Frames of a window, and how many two of them share.
@@ -65,9 +66,6 @@ const LAST_ROUNDS: usize = 12;
 /// A round that gains less than this part of the cost is the last of its level.
 const GAINS: f64 = 0.02;
 const LAST_GAINS: f64 = 0.001;
-/// Change on a level eases in and out over at most so many knots: what fine levels take on is what coarse ones cannot
-/// follow, the trembling of a source.
-const EASES_KNOTS: f64 = 2.0;
 /// Damping of steps, in parts of what a change costs: raised after a step that made things worse, lowered after others.
 const MORE_DAMPING: f64 = 10.0;
 const LESS_DAMPING: f64 = 0.2;
@@ -143,9 +141,10 @@ struct Window<'a> {
 struct Level {
     spline: Spline,
     controls: Vec<f64>,
-    /// Stiffness of the goals (1/m²), and cost of bends of the controls.
+    /// Stiffness of the goals (1/m²).
     stiffness: f64,
-    bend: f64,
+    /// Cost of bends: of every second difference of controls, of all freedoms.
+    bends: Vec<f64>,
     /// What earlier levels have changed, frame by frame.
     done: Vec<f64>,
 }
@@ -209,7 +208,7 @@ impl<'a> Window<'a> {
         let mut level = Level {
             controls: vec![0.0; spline.controls * self.freedoms.len()],
             stiffness: 1.0 / (soft_m * soft_m),
-            bend: (self.options.eases / spacing as f64).min(EASES_KNOTS).powi(4) * spacing as f64,
+            bends: self.bends(spline),
             done: std::mem::take(done),
             spline,
         };
@@ -231,6 +230,17 @@ impl<'a> Window<'a> {
             sum.iter_mut().zip(&change).for_each(|(s, c)| *s += c);
         }
         *done = level.done;
+    }
+
+    fn bends(&self, spline: Spline) -> Vec<f64> {
+        let (n, h) = (self.freedoms.len(), spline.spacing as f64);
+        let mut out = Vec::with_capacity((spline.controls - 2) * n);
+        for k in 0..spline.controls - 2 {
+            // The middle one of three controls lies on its own knot, one before the spline's first.
+            let frame = self.range.start + (k * spline.spacing).min(self.range.len() - 1);
+            out.extend(self.options.sharp[frame * n..][..n].iter().map(|s| h / (h * h * s).powi(2)));
+        }
+        out
     }
 
     /// One step of Gauss–Newton, shortened by damping until it makes things better (Marquardt 1963): along what goals
@@ -302,11 +312,9 @@ impl<'a> Window<'a> {
             self.at(level.spline, controls, frame, &mut change);
             cost += change.iter().zip(done).zip(&price).map(|((c, d), p)| p * (c + d).powi(2)).sum::<f64>();
         }
-        for k in 1..level.spline.controls - 1 {
-            for (d, p) in price.iter().enumerate() {
-                let c = |k: usize| controls[k * n + d];
-                cost += level.bend * p * (c(k - 1) - 2.0 * c(k) + c(k + 1)).powi(2);
-            }
+        for (at, bend) in level.bends.iter().enumerate() {
+            let c = |k: usize| controls[at + k * n];
+            cost += bend * (c(0) - 2.0 * c(1) + c(2)).powi(2);
         }
         cost
     }
@@ -355,14 +363,12 @@ impl<'a> Window<'a> {
             }
         }
         const BEND: [f64; 3] = [1.0, -2.0, 1.0];
-        for k in 0..level.spline.controls - 2 {
-            for d in 0..n {
-                let at = |m: usize| (k + m) * n + d;
-                let off: f64 = (0..3).map(|m| BEND[m] * level.controls[at(m)]).sum();
-                for a in 0..3 {
-                    gradient[at(a)] += level.bend * price[d] * BEND[a] * off;
-                    (0..=a).for_each(|b| normal.add(at(a), at(b), level.bend * price[d] * BEND[a] * BEND[b]));
-                }
+        for (first, bend) in level.bends.iter().enumerate() {
+            let at = |m: usize| first + m * n;
+            let off: f64 = (0..3).map(|m| BEND[m] * level.controls[at(m)]).sum();
+            for a in 0..3 {
+                gradient[at(a)] += bend * BEND[a] * off;
+                (0..=a).for_each(|b| normal.add(at(a), at(b), bend * BEND[a] * BEND[b]));
             }
         }
     }
