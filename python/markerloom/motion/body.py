@@ -28,6 +28,8 @@ WORDS = {
     "hand": {"hand", "wrist", "radiocarpal"},
 }
 """Words for the parts of limbs; "shoulder" is an upper arm, or a collar bone where one of the words for arms is there."""
+VAGUE = {"hip"}
+"""A hip may be the thigh's joint or one above it: it counts where no plainer word is there."""
 LEG, ARM = ("upper_leg", "lower_leg", "foot", "toes"), ("clavicle", "upper_arm", "forearm", "hand")
 HEAD, NECK = {"head", "skullbase", "skull"}, re.compile(r"^(lower|upper)?neck$|^vc$")
 NEEDED = tuple(f"{side}_{part}" for side in SIDES for part in ("upper_leg", "lower_leg", "foot"))
@@ -162,8 +164,9 @@ def _limbs(skeleton: Skeleton, own: list[tuple[int, str]], side: str) -> dict[st
     found: dict[str, int] = {}
     for part, known in WORDS.items():
         fitting = [j for j, word in own if word in known]
+        plain = [j for j, word in own if word in known - VAGUE]
         if fitting:
-            found[part] = min(fitting)
+            found[part] = min(plain or fitting)
     shoulder = next((j for j, word in own if word == "shoulder"), None)
     if shoulder is not None:
         found.setdefault("clavicle" if "upper_arm" in found else "upper_arm", shoulder)

@@ -31,6 +31,8 @@ def accelerations(motion: Motion) -> Array:
     return out
 
 
+STILL = 1e-3
+"""Accelerations smaller than this are none (m/s²)."""
 AROUND = 5
 """A joint may jump as it jumps within so many frames of the same moment in its source."""
 
@@ -49,13 +51,14 @@ def sharpness(motion: Motion, sources: list[tuple[Motion, Array]], joints: list[
     ``sources``: motions with, for every frame, the frame that it comes from (NaN: from none); ``joints``: of every
     joint the source's joint that it follows, where the skeletons differ.
     """
-    bound = np.full((len(motion), len(motion.skeleton)), 1e-3)
-    for source, frames in sources:
-        own = accelerations(source)
-        if joints is not None:
-            own = own[:, joints]
+    sizes = [accelerations(source) if joints is None else accelerations(source)[:, joints] for source, _ in sources]
+    # What comes from nowhere (a neutral pose) may be as sharp as the sources usually are.
+    usual = [np.percentile(own, 99, axis=0) for own in sizes if own.size and own.max() > STILL]
+    bound = np.tile(np.maximum(np.min(usual, axis=0), STILL) if usual else STILL, (len(motion), 1))
+    bound = np.broadcast_to(bound, (len(motion), len(motion.skeleton))).copy()
+    for (_, frames), own in zip(sources, sizes, strict=True):
         known = np.isfinite(frames)
-        at = np.clip(np.round(frames[known]).astype(int), 0, len(source) - 1)
+        at = np.clip(np.round(frames[known]).astype(int), 0, len(own) - 1)
         bound[known] = np.maximum(bound[known], near_or_usual(own)[at])
     return accelerations(motion) / bound
 
@@ -92,7 +95,7 @@ def with_constant_bones(motion: Motion) -> tuple[Motion, float]:
     """The same motion with bones of constant length, and by how much they changed in the file (mm, largest).
 
     Files with channels of place in every joint mostly repeat the skeleton's offsets. What moves above the hips, where a
-    root of the scene stands still, becomes the root's own movement, so that the hips are where they were; the other
+    root of the scene stands still, becomes the root's own movement, so that the root is where the hips are; the other
     bones get the mean of their offsets.
     """
     if motion.shifts_m is None or not len(motion):
@@ -103,6 +106,7 @@ def with_constant_bones(motion: Motion) -> tuple[Motion, float]:
     root_m, turn, top = motion.root_m.copy(), motion.turns[:, 0], 0
     while len(skeleton.children(top)) == 1:
         top = skeleton.children(top)[0]
+        mean[top] = 0.0
         root_m += np.einsum("fab,fb->fa", turn, motion.shifts_m[:, top] - mean[top])
         turn = turn @ motion.turns[:, top]
     others = [j for j in range(top + 1, len(skeleton))]

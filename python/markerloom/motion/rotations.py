@@ -50,6 +50,17 @@ def log(turns: Array) -> Array:
     return Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(turns.shape[:-1])
 
 
+def unwrapped(vectors: Array) -> Array:
+    """Rotation vectors (frames, ..., 3) of the same rotations that do not jump by whole turns from frame to frame."""
+    out = vectors.copy()
+    for f in range(1, len(out)):
+        angle = np.linalg.norm(out[f], axis=-1, keepdims=True)
+        axis = out[f] / np.maximum(angle, 1e-12)
+        turns = np.round(((axis * out[f - 1]).sum(axis=-1, keepdims=True) - angle) / (2.0 * np.pi))
+        out[f] = np.where(angle > 1e-9, axis * (angle + 2.0 * np.pi * turns), out[f])
+    return out
+
+
 def exp(vectors: Array) -> Array:
     """Rotations (..., 3, 3) of rotation vectors (..., 3; rad)."""
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)
