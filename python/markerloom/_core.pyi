@@ -286,8 +286,6 @@ class Clouds:
     def distances(self, other: Clouds) -> Floats: ...
     def alignment(self, at: int, other: Clouds, other_at: int) -> tuple[float, list[float], float]: ...
 
-
-
 def change_motion(
     parents: Sequence[int | None],
     offsets_m: Sequence[Sequence[float]],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from markerloom import formats
+from markerloom import formats, motion
 from markerloom.active import led_codes, leds
 from markerloom.bench import bench
 from markerloom.calibrate import Calibration, Wand, calibrate_wand, read_wand
@@ -187,6 +187,7 @@ __all__ = [
     "make_scene",
     "marker_sets",
     "mend",
+    "motion",
     "origin_from_floor",
     "origin_from_points",
     "place_on_spheres",

@@ -39,6 +39,7 @@ from markerloom.from_pixels import rows as whole_way_rows
 from markerloom.inspect import inspect as run_inspect
 from markerloom.labelling.cli import frame_range, label, subject_app
 from markerloom.mending.cli import mend
+from markerloom.motion.cli import edit_app
 from markerloom.observations import Observations
 from markerloom.project.cli import process
 from markerloom.reconstruct import Progress
@@ -59,6 +60,7 @@ app.add_typer(calibrate_app, name="calibrate")
 app.command()(detect)
 app.add_typer(subject_app, name="subject")
 app.add_typer(rigid_app, name="rigid")
+app.add_typer(edit_app, name="edit")
 for verb in (sync, label, fill, smooth, mend, solve, process, view):
     app.command()(verb)
 out = Console(highlight=False)

@@ -67,7 +67,7 @@ def _features(motion: Motion) -> Array:
 
 def laid(motion: Motion, turn: float, shift: tuple[float, float] | Array) -> Motion:
     """The motion turned about the vertical axis of the world (rad), then moved on the floor (m)."""
-    about = about_vertical(np.float64(turn))
+    about = about_vertical(turn)
     turns = motion.turns.copy()
     turns[:, 0] = about @ motion.turns[:, 0]
     root_m = motion.root_m @ about.T

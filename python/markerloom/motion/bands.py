@@ -8,6 +8,7 @@ its bands weighted is put together again. Waveshaping maps each vector's compone
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ Curve = list[tuple[float, float]]
 def band_hz(frames: int, rate_hz: float) -> list[tuple[float, float]]:
     """From which to which frequency (Hz) each band of a clip reaches, the finest first."""
     edges = [rate_hz / 2.0, *(EDGE * rate_hz / 2.0**k for k in range(_core.band_count(frames)))]
-    return [(low, high) for high, low in zip(edges, edges[1:], strict=False)]
+    return [(low, high) for high, low in pairwise(edges)]
 
 
 def bands(

@@ -113,13 +113,11 @@ def joined(
 
 FEET_SITES = ("l_heel", "l_ball", "r_heel", "r_ball")
 MEETS_M = 0.04
-"""A place that stands on both sides of a join stays in one place if both are nearer than this, in the size of usual legs;
-otherwise it is free to go there while the clips fade."""
+"""A place that stands on both sides of a join stays where it is if both are nearer than this, in the size of usual
+legs; otherwise it is free to go there while the clips fade."""
 
 
-def _far(
-    before: tuple[Plant, ...], after: list[Plant], clips: tuple[Motion, Motion], at: tuple[int, int]
-) -> set[str]:
+def _far(before: tuple[Plant, ...], after: list[Plant], clips: tuple[Motion, Motion], at: tuple[int, int]) -> set[str]:
     """Places that stand on both sides of a join, but not in the same spot."""
     sites = {p.site for p in before if p.start <= at[0] < p.stop + 3} & {
         p.site for p in after if p.start - 3 <= at[1] < p.stop
@@ -191,7 +189,13 @@ def fade_length(a: Motion, leave: int, b: Motion, enter: int) -> int:
 
 
 def calmly_joined(
-    before: Joined, clip: Motion, length: int, where: Callable[[int], tuple[int, int]], longest: int, *, free_feet: bool = False
+    before: Joined,
+    clip: Motion,
+    length: int,
+    where: Callable[[int], tuple[int, int]],
+    longest: int,
+    *,
+    free_feet: bool = False,
 ) -> Joined:
     """Another clip at the end, its fade made longer until it is calm; ``where`` says, for a length, the frame to leave
     and the one to enter.
@@ -255,7 +259,7 @@ def blend(
         leave, enter = at if leave is None else leave, into if enter is None else enter
     if not 0 <= leave <= len(a) - length or not 0 <= enter <= len(b) - length:
         raise InputError(
-            f"a fade of {length} frames from frame {leave} to frame {enter} is not in clips of {len(a)} and {len(b)} frames"
+            f"a fade of {length} frames from frame {leave} to {enter} is not in clips of {len(a)} and {len(b)} frames"
         )
     longest = length if length_s is not None else min(len(a) - leave, len(b) - enter, round(LONGEST_S * a.rate_hz))
     away = float(np.mean(distances(a, b, measure)[np.arange(leave, leave + length), np.arange(enter, enter + length)]))
@@ -284,7 +288,9 @@ def concatenate(clips: list[Motion], *, length_s: float | None = None, hold_feet
     return finished(done, hold_feet=hold_feet)
 
 
-def _appended(before: Joined, clip: Motion, length_s: float | None, *, end: int | None = None, free_feet: bool = False) -> Joined:
+def _appended(
+    before: Joined, clip: Motion, length_s: float | None, *, end: int | None = None, free_feet: bool = False
+) -> Joined:
     """A clip whose beginning fades in over the last frames before ``end``."""
     last = len(before.motion) if end is None else end
     longest = min(last - 1, len(clip) - 1)

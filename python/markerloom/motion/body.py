@@ -27,7 +27,7 @@ WORDS = {
     "forearm": {"forearm", "lowerarm", "loarm", "radius", "ulna", "elbow"},
     "hand": {"hand", "wrist", "radiocarpal"},
 }
-"""Words for the parts of limbs; "shoulder" is an upper arm, or a collar bone where one of the words for arms is there."""
+"""Words for parts of limbs; "shoulder" is an upper arm, or a collar bone where one of the words for arms is there."""
 VAGUE = {"hip"}
 """A hip may be the thigh's joint or one above it: it counts where no plainer word is there."""
 LEG, ARM = ("upper_leg", "lower_leg", "foot", "toes"), ("clavicle", "upper_arm", "forearm", "hand")
@@ -140,9 +140,7 @@ def body_of(skeleton: Skeleton) -> Body:
     tops = [parts[f"{side}_upper_leg"] for side in SIDES if f"{side}_upper_leg" in parts]
     if len(tops) == 2:
         parts["pelvis"] = _common(skeleton, tops)
-    arms = [
-        next((parts[p] for p in (f"{side}_clavicle", f"{side}_upper_arm") if p in parts), None) for side in SIDES
-    ]
+    arms = [next((parts[p] for p in (f"{side}_clavicle", f"{side}_upper_arm") if p in parts), None) for side in SIDES]
     if None not in arms:
         parts["chest"] = _common(skeleton, [a for a in arms if a is not None])
     head = next((j for j, (side, word) in enumerate(words) if not side and word in HEAD), None)

@@ -29,9 +29,14 @@ SAME_M = 1e-9
 
 
 def crop(
-    motion: Motion, *, start: int | None = None, stop: int | None = None, from_s: float | None = None, to_s: float | None = None
+    motion: Motion,
+    *,
+    start: int | None = None,
+    stop: int | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
 ) -> Edited:
-    """Frames from ``start`` to before ``stop`` (numbers of frames), or from one time to another (s from the beginning)."""
+    """Frames from ``start`` to before ``stop`` (by number), or from one time to another (s from the beginning)."""
     low = motion.first_frame if start is None else start
     high = motion.first_frame + len(motion) if stop is None else stop
     if from_s is not None:
@@ -85,7 +90,9 @@ def mirror(motion: Motion) -> Edited:
     if rest is not None:
         out = replace(with_rest(out, np.swapaxes(rest, 1, 2)), skeleton=motion.skeleton)
     pairs = sum(j != k for j, k in enumerate(fellow)) // 2
-    warnings = [f"the skeleton's sides differ: joints are up to {worst:.0f} mm off the mirror image"] if worst > 20.0 else []
+    warnings = (
+        [f"the skeleton's sides differ: joints are up to {worst:.0f} mm off the mirror image"] if worst > 20.0 else []
+    )
     return Edited(out, {"pairs": pairs, "off_mirror_mm": worst, "warnings": warnings})
 
 
@@ -126,7 +133,11 @@ def mirrored_joints(skeleton: Skeleton) -> list[int]:
         other = SIDES[1 - SIDES.index(side)]
         for k, (their_side, _) in enumerate(words):
             same_part = j in parts and parts.get(k) == parts[j].replace(side, other)
-            if their_side == other and (plain[j] == plain[k] or same_part) and out[skeleton.parents[j]] == skeleton.parents[k]:
+            if (
+                their_side == other
+                and (plain[j] == plain[k] or same_part)
+                and out[skeleton.parents[j]] == skeleton.parents[k]
+            ):
                 out[j] = k
                 break
     return out
@@ -175,7 +186,7 @@ def _ends(motion: Motion, length: int, start: int | None, stop: int | None) -> t
     if start is not None and stop is not None:
         if not length <= start < stop - length or stop >= len(motion):
             raise InputError(
-                f"a loop of frames {start}:{stop} with a fade of {length} frames is not in a clip of {len(motion)} frames"
+                f"a loop of frames {start}:{stop}, a fade of {length} before it, is not in a clip of {len(motion)} frames"
             )
         return start, stop
     table = distances(motion, motion)
@@ -226,15 +237,13 @@ def _glued(parts: list[Motion]) -> Motion:
     )
 
 
-def _repeated(
-    motion: Motion, cycle: Motion, step: tuple[float, Array], times: int, start: int, length: int
-) -> Joined:
+def _repeated(motion: Motion, cycle: Motion, step: tuple[float, Array], times: int, start: int, length: int) -> Joined:
     """The cycle over and over, each time laid onto the end of the one before; and the source's stances in it."""
     period = len(cycle)
     rounds, turn, shift = [], 0.0, np.zeros(2)
     for _ in range(times):
         rounds.append(laid(cycle, turn, shift))
-        shift = about_vertical(np.float64(turn))[:2, :2] @ step[1] + shift
+        shift = about_vertical(turn)[:2, :2] @ step[1] + shift
         turn += step[0]
     stances = [p for p in begun(motion).plants if p.stop > start and p.start < start + period]
     plants = []

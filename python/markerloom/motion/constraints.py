@@ -1,4 +1,4 @@
-"""What must stay true when a motion goes onto another body: feet that stand, hands that touch or hold, looks, the floor.
+"""What must hold when a motion goes onto another body: feet that stand, hands that touch or hold, looks, the floor.
 
 Found in the source, kept as TOML for editing. Frames are those of the clip, from 0; names are parts of the body.
 """
@@ -121,7 +121,7 @@ def write_constraints(constraints: Constraints, path: str | Path) -> None:
 
 
 def read_constraints(path: str | Path, frames: int) -> Constraints:
-    """Constraints from TOML. Raises ``FormatError`` for what is not known, ``InputError`` for frames outside the clip."""
+    """Constraints from TOML. Raises ``FormatError`` for what is not known, ``InputError`` for frames not in the clip."""
     try:
         content = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:
@@ -145,7 +145,9 @@ def read_constraints(path: str | Path, frames: int) -> Constraints:
                 known = ", ".join(f.name.replace("_m", "_mm") for f in fields(made))
                 raise FormatError(path, f"needs {known}", where=where) from None
             if not inside:
-                raise InputError(f"{path}: {where}: frames {item.start}:{item.stop} are not in a clip of {frames} frames")
+                raise InputError(
+                    f"{path}: {where}: frames {item.start}:{item.stop} are not in a clip of {frames} frames"
+                )
             items.append(item)
         parts[kind] = tuple(items)
     floor = content.get("floor_mm")

@@ -109,7 +109,7 @@ def with_constant_bones(motion: Motion) -> tuple[Motion, float]:
         mean[top] = 0.0
         root_m += np.einsum("fab,fb->fa", turn, motion.shifts_m[:, top] - mean[top])
         turn = turn @ motion.turns[:, top]
-    others = [j for j in range(top + 1, len(skeleton))]
+    others = list(range(top + 1, len(skeleton)))
     off = np.abs(motion.shifts_m[:, others] - mean[others]).max(initial=0.0)
     still = replace(skeleton, offsets_m=mean, moving=())
     return replace(motion, skeleton=still, root_m=root_m, shifts_m=None), 1000.0 * float(off)

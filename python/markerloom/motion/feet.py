@@ -99,7 +99,7 @@ def feet_of(body: Body) -> Feet:
 
 
 def _span(skeleton: Skeleton, places: dict[str, tuple[int, Array]], side: str) -> float | None:
-    """Distance (m) of heel and ball, if they are on one segment, or the ball is the joint that hangs from the heel's."""
+    """Distance (m) of heel and ball, if they are on one segment, or the ball is the joint below the heel's."""
     if f"{side}_ball" not in places:
         return None
     (heel, at_heel), (ball, at_ball) = places[f"{side}_heel"], places[f"{side}_ball"]
@@ -111,7 +111,7 @@ def _span(skeleton: Skeleton, places: dict[str, tuple[int, Array]], side: str) -
 
 
 def _ends(skeleton: Skeleton, site: Site) -> bool:
-    return not skeleton.children(site.joint) or np.linalg.norm(site.place_m) > 1e-6
+    return not skeleton.children(site.joint) or bool(np.linalg.norm(site.place_m) > 1e-6)
 
 
 def _named(skeleton: Skeleton, side: str) -> dict[str, tuple[int, Array]]:
@@ -247,7 +247,7 @@ def _without(plant: Plant, others: list[Plant], margin: int) -> Plant:
 
 
 def _beside(fixed: Array, wanted: Array, span: float | None) -> Array:
-    """The point nearest to the wanted one at a distance from a fixed one, at the wanted height where that is possible."""
+    """The point nearest to the wanted one at a distance from a fixed one, at the wanted height where it can be."""
     if span is None:
         return wanted
     flat = wanted[:2] - fixed[:2]

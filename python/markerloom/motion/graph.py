@@ -8,6 +8,7 @@ stays. A walk goes through it at random; a path is followed by a search that kee
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from markerloom.errors import InputError
-from markerloom.motion.alike import clouds, minima
-from markerloom.motion.blend import BLEND_S, Joined, begun, finished, joined
+from markerloom.motion.alike import clouds, laid, minima
+from markerloom.motion.blend import BLEND_S, Joined, finished, joined
 from markerloom.motion.edited import Edited
 from markerloom.motion.library import Library, Transition, of_clips, stances
 from markerloom.motion.rotations import about_vertical
@@ -40,10 +41,12 @@ def build(clips: list[Motion], *, threshold_m: float | None = None) -> Library:
     fade = max(2, round(BLEND_S * own[0].rate_hz))
     short = next((c for c in own if len(c) < 2 * fade + 2), None)
     if short is not None:
-        raise InputError(f"'{short.source}' is too short for a library: {len(short)} frames, of which a fade takes {fade}")
+        raise InputError(
+            f"'{short.source}' is too short for a library: {len(short)} frames, of which a fade takes {fade}"
+        )
     least = _usual_m(own, fade) if threshold_m is None else threshold_m
     moves = _transitions(own, fade, least)
-    kept = pruned([len(c) for c in own], moves, fade)
+    kept = pruned(moves, fade)
     if not kept:
         raise InputError(
             f"no moments of these clips are alike enough to go from one to another and back "
@@ -73,7 +76,9 @@ def _transitions(clips: list[Motion], fade: int, least: float) -> list[Transitio
         for b in range(len(clips)):
             table = coarse[a].distances(coarse[b])
             for i, j in minima(table, 1.5 * least):
-                middle, other, away = _refined(fine[a], fine[b], (i * step, j * step), step, (len(clips[a]), len(clips[b])))
+                middle, other, away = _refined(
+                    fine[a], fine[b], (i * step, j * step), step, (len(clips[a]), len(clips[b]))
+                )
                 leave, enter = middle - half, other - half
                 fits = leave >= 0 and enter >= 0 and leave + fade < len(clips[a]) and enter + fade < len(clips[b])
                 if away > least or not fits or (a == b and abs(middle - other) < apart):
@@ -97,7 +102,7 @@ def _refined(a: Any, b: Any, at: tuple[int, int], step: int, frames: tuple[int, 
     return i, j, best
 
 
-def pruned(frames: list[int], moves: list[Transition], fade: int) -> list[Transition]:
+def pruned(moves: list[Transition], fade: int) -> list[Transition]:
     """The transitions of the largest strongly connected part: whatever is entered can be left again."""
     ends = sorted({(t.from_clip, t.from_frame) for t in moves} | {(t.to_clip, t.to_frame + fade) for t in moves})
     index = {end: k for k, end in enumerate(ends)}
@@ -134,7 +139,9 @@ def walk(library: Library, seconds: float, *, seed: int = 0, hold_feet: bool = T
     clip, at = _start(library, exits, chance)
     steps, length = [], 0
     while length < frames:
-        nexts = [t for t in exits[clip] if t.from_frame >= at + _least(library)] or [t for t in exits[clip] if t.from_frame >= at]
+        nexts = [t for t in exits[clip] if t.from_frame >= at + _least(library)] or [
+            t for t in exits[clip] if t.from_frame >= at
+        ]
         move = nexts[int(chance.integers(min(len(nexts), CHOICES)))]
         steps.append(Step(clip, at, move))
         length += move.from_frame - at + library.fade
@@ -176,14 +183,16 @@ def _made(library: Library, steps: list[Step], frames: int, hold_feet: bool) -> 
     """The clip that a way through the graph is."""
     first = steps[0]
     done = _begun_at(library, first)
-    for step, after in zip(steps, steps[1:], strict=False):
+    for step, after in pairwise(steps):
         move = step.transition
         if move is None:
             break
         own = list(library.plants[after.clip])
         # The clip before was followed from where it was entered: its frames end at the way's end.
         offset = len(done.motion) - len(library.clips[step.clip])
-        done = joined(done, library.clips[move.to_clip], offset + move.from_frame, move.to_frame, library.fade, plants=own)
+        done = joined(
+            done, library.clips[move.to_clip], offset + move.from_frame, move.to_frame, library.fade, plants=own
+        )
     out = finished(_cut(done, frames), hold_feet=hold_feet)
     names = [library.name(s.clip) for s in steps]
     worst = max((s.transition.distance_m for s in steps if s.transition is not None), default=0.0)
@@ -209,7 +218,7 @@ def _begun_at(library: Library, step: Step) -> Joined:
 
 def _cut(done: Joined, frames: int) -> Joined:
     """The first so many frames."""
-    part = begun_part(done.motion, frames)
+    part = _first(done.motion, frames)
     plants = [replace(p, stop=min(p.stop, frames)) for p in done.plants if p.start < frames]
     return Joined(
         part,
@@ -220,7 +229,7 @@ def _cut(done: Joined, frames: int) -> Joined:
     )
 
 
-def begun_part(motion: Motion, frames: int) -> Motion:
+def _first(motion: Motion, frames: int) -> Motion:
     """The first frames of a motion."""
     return replace(
         motion,
@@ -270,9 +279,9 @@ def follow(library: Library, line_m: Array, *, hold_feet: bool = True) -> Edited
             break
     if best is None:
         raise InputError("no way through the library gets to the end of the line: its clips hardly move over the floor")
-    turn, shift = _placed_start(library, paths, best.steps[0], line)
+    turn, shift = _placed_start(paths, best.steps[0], line)
     out = _made(library, [*best.steps, Step(best.clip, best.at, None)], best.frames, hold_feet)
-    motion = _moved(out.motion, turn, shift)
+    motion = laid(out.motion, turn, shift)
     off = line.distances(motion.root_m[:, :2])
     rms = float(np.sqrt((off**2).mean()))
     return Edited(motion, {"line_m": line.length, "off_line_m": {"rms": rms, "max": float(off.max())}, **out.report})
@@ -315,7 +324,7 @@ class _Line:
         return np.array([np.linalg.norm(dense - p, axis=1).min() for p in places])
 
 
-def _placed_start(library: Library, paths: list[tuple[Array, Array]], step: Step, line: _Line) -> tuple[float, Array]:
+def _placed_start(paths: list[tuple[Array, Array]], step: Step, line: _Line) -> tuple[float, Array]:
     """The turn and shift that put the beginning of a way onto the line's beginning, going along it."""
     flat, gone = paths[step.clip]
     ahead = min(int(np.searchsorted(gone, gone[step.entered] + 0.5)), len(flat) - 1)
@@ -324,7 +333,7 @@ def _placed_start(library: Library, paths: list[tuple[Array, Array]], step: Step
         facing = 0.0
     else:
         facing = float(np.arctan2(wanted[1], wanted[0]) - np.arctan2(way[1], way[0]))
-    return facing, line.points[0] - about_vertical(np.float64(facing))[:2, :2] @ flat[step.entered]
+    return facing, line.points[0] - about_vertical(facing)[:2, :2] @ flat[step.entered]
 
 
 def _beginnings(
@@ -334,7 +343,7 @@ def _beginnings(
     ways = []
     for clip, at in entries:
         if any(t.from_frame >= at for t in exits[clip]):
-            turn, shift = _placed_start(library, paths, Step(clip, at, None), line)
+            turn, shift = _placed_start(paths, Step(clip, at, None), line)
             ways.append(_Way((), clip, at, turn, shift, 0.0, 0.0, 0))
     return ways
 
@@ -344,7 +353,7 @@ def _continued(
 ) -> list[_Way]:
     """A way gone on along its clip to each of the next transitions, and through it."""
     flat, gone = paths[way.clip]
-    about = about_vertical(np.float64(way.turn))[:2, :2]
+    about = about_vertical(way.turn)[:2, :2]
     out = []
     later = [t for t in exits[way.clip] if t.from_frame >= way.at + (_least(library) if way.steps else 0)]
     for move in later[:BRANCHES]:
@@ -369,9 +378,3 @@ def _continued(
             )
         )
     return out
-
-
-def _moved(motion: Motion, turn: float, shift: Array) -> Motion:
-    from markerloom.motion.alike import laid
-
-    return laid(motion, turn, shift)

@@ -53,7 +53,9 @@ def by_angles(motion: Motion, at: int, angles_deg: dict[str, list[float]]) -> Ke
         if j < 0:
             raise InputError(f"a key for joint '{name}', which is not there: {', '.join(motion.skeleton.joints)}")
         if len(values) != 3 or not np.isfinite(values).all():
-            raise InputError(f"a key for '{name}' is three angles about {', '.join(motion.skeleton.orders[j])} in degrees")
+            raise InputError(
+                f"a key for '{name}' is three angles about {', '.join(motion.skeleton.orders[j])} in degrees"
+            )
         order = motion.skeleton.orders[j]
         by_axis = [np.deg2rad(values[order.index(a)]) for a in "XYZ"]
         turns[j] = matrices(order, np.array([by_axis]))[0]

@@ -111,7 +111,10 @@ def write_library(library: Library, path: str | Path) -> None:
                 db.executemany("INSERT INTO moments VALUES (?, ?, ?)", [(i, f, p.tobytes()) for f, p in rows])
             db.executemany(
                 "INSERT INTO transitions VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                [(t.from_clip, t.from_frame, t.to_clip, t.to_frame, t.distance_m, t.turn_rad, *t.shift_m) for t in library.transitions],
+                [
+                    (t.from_clip, t.from_frame, t.to_clip, t.to_frame, t.distance_m, t.turn_rad, *t.shift_m)
+                    for t in library.transitions
+                ],
             )
         part.replace(path)
     finally:

@@ -42,7 +42,9 @@ def mix(clips: list[Motion], weights: list[float], *, hold_feet: bool = True) ->
     Raises ``InputError`` for clips of other skeletons or rates, and for weights that are none.
     """
     if len(clips) < 2 or len(weights) != len(clips):
-        raise InputError(f"a mix needs two clips or more and a weight for each: {len(clips)} clips, {len(weights)} weights")
+        raise InputError(
+            f"a mix needs two clips or more and a weight for each: {len(clips)} clips, {len(weights)} weights"
+        )
     share = np.array(weights, float)
     if not np.isfinite(share).all() or share.min() < 0.0 or share.sum() <= 0.0:
         raise InputError("weights are numbers from 0, not all of them 0")
@@ -51,7 +53,7 @@ def mix(clips: list[Motion], weights: list[float], *, hold_feet: bool = True) ->
         same_skeleton(clips[0], clip, f"'{clips[0].source}' and '{clip.source}' cannot be mixed")
     times = [np.arange(len(clips[0]), dtype=float), *(corresponding(clips[0], clip) for clip in clips[1:])]
     # Time of the mix at every frame of the first clip, and from it the moments of all clips at its own frames.
-    mixed_time = sum(w * t for w, t in zip(share, times, strict=True))
+    mixed_time = np.sum([w * t for w, t in zip(share, times, strict=True)], axis=0)
     frames = np.arange(int(np.floor(mixed_time[-1] + 1e-9)) + 1, dtype=float)
     at = [np.interp(frames, mixed_time, t) for t in times]
     moments = [sampled(clip, t) for clip, t in zip(clips, at, strict=True)]
@@ -64,7 +66,7 @@ def mix(clips: list[Motion], weights: list[float], *, hold_feet: bool = True) ->
 
 
 def corresponding(a: Motion, b: Motion) -> Array:
-    """The moment of ``b`` (frames, between frames) that corresponds to each frame of ``a``; both begin and end together.
+    """The moment of ``b`` (between frames) that corresponds to each frame of ``a``; both begin and end together.
 
     Dynamic time warping (Sakoe & Chiba 1978) with steps that keep one from running much faster than the other, then a
     smooth curve through knots.

@@ -19,7 +19,7 @@ from markerloom.motion.bands import low_passed
 from markerloom.motion.body import Body, body_of
 from markerloom.motion.constraints import Constraints, find_constraints
 from markerloom.motion.edited import Edited, sharpness
-from markerloom.motion.feet import Feet, Plant, feet_of, placed, rest_heights, slides, standing_heights
+from markerloom.motion.feet import Plant, feet_of, placed, rest_heights, slides, standing_heights
 from markerloom.motion.footlock import check_length, check_plants
 from markerloom.motion.mapping import Mapping, followed, guess, indices, with_parts
 from markerloom.motion.rotations import about_vertical
@@ -127,7 +127,10 @@ class _Problem:
         rest, own = rest_heights(self.fellow.skeleton, self.their_feet), rest_heights(self.target, self.feet)
         above = [theirs[name] - rest[name] for name in theirs]
         usual = float(np.median(above)) if above else 0.0
-        return {name: own[name] + self.scale * max(theirs.get(name, rest.get(name, 0.0) + usual) - rest.get(name, 0.0), 0.0) for name in own}
+        return {
+            name: own[name] + self.scale * max(theirs.get(name, rest.get(name, 0.0) + usual) - rest.get(name, 0.0), 0.0)
+            for name in own
+        }
 
     def _transferred(self) -> Motion:
         """Directions of the source's segments, and its path in the size of the target's legs."""
@@ -261,9 +264,7 @@ class _Problem:
             "scale": self.scale,
             "floor_m": self.floor,
             "missed_mm": missed_mm,
-            "constraints": {
-                k: len(getattr(self.constraints, k)) for k in ("plants", "touches", "holds", "looks")
-            },
+            "constraints": {k: len(getattr(self.constraints, k)) for k in ("plants", "touches", "holds", "looks")},
             "joints": {"followed": len(self.pairs), "at_rest": unmapped},
             "sharpness": float(sharp.max(initial=0.0)),
             "straightest_leg": straightest,
@@ -278,7 +279,12 @@ def _hips(place: Array, body: Body) -> Array:
 
 def _reach(body: Body) -> float:
     lengths = body.skeleton.bone_lengths_m()
-    parts = [body.parts[f"{side}_{p}"] for side in ("left", "right") for p in ("forearm", "hand") if f"{side}_{p}" in body.parts]
+    parts = [
+        body.parts[f"{side}_{p}"]
+        for side in ("left", "right")
+        for p in ("forearm", "hand")
+        if f"{side}_{p}" in body.parts
+    ]
     return float(lengths[parts].sum()) if parts else 1.0
 
 
@@ -353,7 +359,11 @@ def _chains(fellow: Body, body: Body, pairs: dict[int, int], turn: Array) -> dic
     ends = (("spine", "pelvis", "chest"), ("neck", "chest", "head"))
     for name, low, high in ends:
         own, other = getattr(body, name), getattr(fellow, name)
-        if not own or any(j in pairs for j in own) or not all(p in b.parts for b in (body, fellow) for p in (low, high)):
+        if (
+            not own
+            or any(j in pairs for j in own)
+            or not all(p in b.parts for b in (body, fellow) for p in (low, high))
+        ):
             continue
         knots = [fellow.parts[low], *other, fellow.parts[high]]
         up = np.linspace(0.0, len(knots) - 1.0, len(own) + 2)[1:-1]

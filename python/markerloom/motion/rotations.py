@@ -77,7 +77,7 @@ def heading(turns: Array, lateral: Array) -> Array:
     return np.unwrap(np.arctan2(left[:, 1], left[:, 0]) - np.arctan2(lateral[1], lateral[0]))
 
 
-def about_vertical(angles: Array) -> Array:
+def about_vertical(angles: Array | float) -> Array:
     """Turns (..., 3, 3) about the vertical (rad)."""
     out = np.zeros((*np.shape(angles), 3, 3))
     out[..., 0, 0] = out[..., 1, 1] = np.cos(angles)

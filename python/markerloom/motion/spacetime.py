@@ -1,4 +1,4 @@
-"""The engine's one least-squares problem over a whole clip, told in joints and places: see `core/motion/spacetime.rs`."""
+"""The engine's one least-squares problem over a whole clip, told in joints and places (`core/motion/spacetime.rs`)."""
 
 from __future__ import annotations
 
@@ -183,7 +183,9 @@ def floor_goals(motion: Motion, feet: Feet, plants: list[Plant], floor: float) -
         joint, local = feet.places[name]
         near = np.flatnonzero(places[:, 2] < floor + NEAR_FLOOR_M * feet.scale)
         goals += [
-            ("above", int(f), joint, list(local), 0, NOWHERE, NOWHERE, floor) for f in near if (name, int(f)) not in held
+            ("above", int(f), joint, list(local), 0, NOWHERE, NOWHERE, floor)
+            for f in near
+            if (name, int(f)) not in held
         ]
     return goals
 

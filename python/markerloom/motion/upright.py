@@ -46,12 +46,16 @@ def standing_rest(motion: Motion, body: Body) -> Array:
     """
     turn, place = motion.segments()
     if not len(motion):
-        raise InputError(f"the rest pose of '{motion.skeleton.name}' is no pose of a body, and there is no motion to find one in")
+        raise InputError(
+            f"the rest pose of '{motion.skeleton.name}' is no pose of a body, and there is no motion to find one in"
+        )
     upright = np.array([sum(_down(at, body, side) for side in SIDES) + _up(at, body) for at in place])
     legs = sum(_straight(place, body, side) for side in SIDES)
     best = int(np.argmax(upright + 2.0 * legs))
     if upright[best] < 3 * UPRIGHT:
-        raise InputError(f"the rest pose of '{motion.skeleton.name}' is no pose of a body, and in its motion nobody stands")
+        raise InputError(
+            f"the rest pose of '{motion.skeleton.name}' is no pose of a body, and in its motion nobody stands"
+        )
     rest = _faced(turn[best], place[best], body)
     for side in SIDES:
         foot = body.parts[f"{side}_foot"]

@@ -139,7 +139,7 @@ def _through_group(at: list[int], values: Array, frames: int, reach: int, out: A
     if high > at[-1]:
         knots, heights = [*knots, high], [*heights, np.zeros(values.shape[1])]
     span = np.arange(knots[0], knots[-1] + 1)
-    shape: Callable[[Array], Array]
+    shape: Callable[[Any], Array]
     shape = CubicSpline(knots, np.array(heights), bc_type="clamped") if len(knots) > 1 else lambda _: np.array(heights)
     out[span] = shape(span)
     out[at] = values
