@@ -186,7 +186,7 @@ def _ends(motion: Motion, length: int, start: int | None, stop: int | None) -> t
     if start is not None and stop is not None:
         if not length <= start < stop - length or stop >= len(motion):
             raise InputError(
-                f"a loop of frames {start}:{stop}, a fade of {length} before it, is not in a clip of {len(motion)} frames"
+                f"a loop of frames {start}:{stop}, {length} frames of fade, is not in a clip of {len(motion)} frames"
             )
         return start, stop
     table = distances(motion, motion)

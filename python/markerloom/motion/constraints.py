@@ -121,7 +121,7 @@ def write_constraints(constraints: Constraints, path: str | Path) -> None:
 
 
 def read_constraints(path: str | Path, frames: int) -> Constraints:
-    """Constraints from TOML. Raises ``FormatError`` for what is not known, ``InputError`` for frames not in the clip."""
+    """Constraints from TOML. Raises ``FormatError`` for what is not known, ``InputError`` for frames outside."""
     try:
         content = tomllib.loads(read_text(path))
     except tomllib.TOMLDecodeError as error:

@@ -154,8 +154,13 @@ class _Problem:
             if p >= 0:
                 turns[:, j] = np.swapaxes(world[:, p], 1, 2) @ world[:, j]
         out = Motion(self.target, np.zeros((frames, 3)), turns, self.source.rate_hz, self.source.first_frame)
-        hips = _hips(out.joints_m(), self.body)
-        return replace(out, root_m=self._path(_hips(place, self.fellow)) - hips, source=self.source.source)
+        own = out.joints_m()
+        pelvis = own[:, self.body.parts["pelvis"]]
+        wanted = self._path(_hips(place, self.fellow)) - _hips(own, self.body)
+        theirs = place[:, self.fellow.parts["pelvis"]] - pelvis
+        # Sizes differ slowly; what is fast comes from the source's pelvis as it is, its trembling, too.
+        root_m = theirs + low_passed(wanted - theirs, self.source.rate_hz)
+        return replace(out, root_m=root_m, source=self.source.source)
 
     def _above_pelvis(self) -> set[int]:
         above, at = set(), self.target.parents[self.body.parts["pelvis"]]
@@ -166,12 +171,11 @@ class _Problem:
 
     def _path(self, hips: Array) -> Array:
         """Where the target's hips go: from where the source's begin, steps and heights in the size of its legs."""
-        out = hips + low_passed((self.scale - 1.0) * (hips - hips[0]), self.source.rate_hz)
+        out = hips[0] + self.scale * (hips - hips[0])
         theirs = standing_heights(self.source, self.their_feet, self.plants, self.floor)
         ankles = [self.heights[n] - self.scale * theirs[n] for n in ("l_heel", "r_heel") if n in theirs]
         lift = float(np.mean(ankles)) if ankles else 0.0
-        height = low_passed((self.scale - 1.0) * (hips[:, 2:] - self.floor), self.source.rate_hz)
-        out[:, 2] = hips[:, 2] + height[:, 0] + lift
+        out[:, 2] = self.floor + self.scale * (hips[:, 2] - self.floor) + lift
         return out
 
     def solve(self) -> tuple[Motion, dict[str, Any]]:

@@ -13,12 +13,13 @@ from markerloom.motion.body import ARM, SIDES, Body
 from markerloom.motion.edited import accelerations, near_or_usual
 from markerloom.motion.feet import NEAR_FLOOR_M, Feet, Plant
 from markerloom.motion.rotations import about, reference
+from markerloom.motion.upright import stands
 from markerloom.skeleton.motion import Motion
 
 Array = NDArray[np.floating[Any]]
 Freedom = tuple[int, list[float], bool, float]
 Goal = tuple[str, int, int, list[float], int, list[float], list[float], float]
-TOLERANCE_M = 1e-5
+TOLERANCE_M = 3e-5
 LEVELS = [(4, 3e-3), (2, 1e-3), (1, 1e-4), (1, 1e-5)]
 """Levels of splines: frames from knot to knot, and what a goal may be missed by at the price of a usual change (m)."""
 SHARP = 0.5
@@ -98,7 +99,8 @@ def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
         for part in ("ball", "toe"):
             joint, local = feet.places.get(f"{side[0]}_{part}", (0, np.zeros(3)))
             if joint != body.parts[f"{side}_foot"] and np.any(local):
-                free += _ball(joint, TOES_RAD)
+                upright = stands(body)
+                free += [(joint, body.lateral().tolist(), False, TOES_RAD)] if upright else _ball(joint, TOES_RAD)
     return _unique(free)
 
 

@@ -84,7 +84,12 @@ mod tests {
 
     #[test]
     fn solves_as_a_dense_solver_does() {
-        let (n, width) = (40, 11);
+        for (n, width) in [(40, 11), (40, 39), (7, 2), (30, 1), (25, 0)] {
+            solves(n, width);
+        }
+    }
+
+    fn solves(n: usize, width: usize) {
         let (mut ours, mut dense) = (Banded::new(n, width), DMatrix::<f64>::zeros(n, n));
         for i in 0..n {
             for j in i.saturating_sub(width)..=i {

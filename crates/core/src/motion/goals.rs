@@ -43,12 +43,15 @@ pub struct Goal {
     pub want: Want,
 }
 
-/// What is missing, and how it changes: for every entry the derivative by a place that moves with a joint.
+/// A joint, a place that moves with it (m, world), and the direction in which its moving adds to what is missing.
+type Moves = (usize, Vector3<f64>, Vector3<f64>);
+
+/// What is missing, and how that changes as places move and joints turn.
 pub struct Row {
     /// What is missing (m).
     pub off: f64,
-    /// Pairs of a place (world) with its joint, and the direction in which a move of the place adds to `off`.
-    pub moves: [Option<(usize, Vector3<f64>, Vector3<f64>)>; 2],
+    /// Places whose moving changes it.
+    pub moves: [Option<Moves>; 2],
     /// A joint whose turning adds to `off` by this axis.
     pub turns: Option<(usize, Vector3<f64>)>,
 }

@@ -71,6 +71,8 @@ const MORE_DAMPING: f64 = 10.0;
 const LESS_DAMPING: f64 = 0.2;
 const KEPT_DAMPING: f64 = 0.7;
 const MOST_DAMPING: f64 = 1e7;
+/// Second differences.
+const BEND: [f64; 3] = [1.0, -2.0, 1.0];
 /// Controls that keep their value cost this.
 const FROZEN: f64 = 1e12;
 
@@ -362,7 +364,6 @@ impl<'a> Window<'a> {
                 }
             }
         }
-        const BEND: [f64; 3] = [1.0, -2.0, 1.0];
         for (first, bend) in level.bends.iter().enumerate() {
             let at = |m: usize| first + m * n;
             let off: f64 = (0..3).map(|m| BEND[m] * level.controls[at(m)]).sum();
@@ -434,6 +435,151 @@ impl Sum {
                         let value = level.stiffness * wa * wb * self.squares[d * self.n + e];
                         normal.add(row, (first + b) * self.n + e, value);
                     }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::goals::{Place, Want};
+    use super::*;
+
+    /// A leg that hangs from a root: hip, knee, ankle; it swings and bends.
+    fn leg(frames: usize) -> (Bones, Clip) {
+        let bones = Bones {
+            parents: vec![None, Some(0), Some(1), Some(2)],
+            offsets_m: vec![
+                Vector3::zeros(),
+                Vector3::zeros(),
+                Vector3::new(0.0, 0.0, -0.4),
+                Vector3::new(0.0, 0.0, -0.4),
+            ],
+        };
+        let mut clip = Clip { root_m: Vec::new(), turns: Vec::new() };
+        for f in 0..frames {
+            let t = f as f64 * 0.03;
+            clip.root_m.push(Vector3::new(0.0, 0.01 * f as f64, 0.75));
+            clip.turns.extend([
+                Rotation3::identity(),
+                Rotation3::new(Vector3::new(0.4 * t.sin() - 0.4, 0.05 * t.cos(), 0.0)),
+                Rotation3::new(Vector3::new(0.7 + 0.2 * (1.7 * t).sin(), 0.0, 0.0)),
+                Rotation3::identity(),
+            ]);
+        }
+        (bones, clip)
+    }
+
+    fn freedoms() -> Vec<Freedom> {
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let shift = axes.map(|axis| Freedom { joint: 0, axis, shift: true, usual: 0.03 });
+        let hip = axes.map(|axis| Freedom { joint: 1, axis, shift: false, usual: 0.15 });
+        let knee = Freedom { joint: 2, axis: Vector3::x(), shift: false, usual: 0.3 };
+        shift.into_iter().chain(hip).chain([knee]).collect()
+    }
+
+    fn options(frames: usize, window: usize) -> Options {
+        Options {
+            levels: vec![(4, 3e-3), (2, 1e-3), (1, 1e-4), (1, 1e-5)],
+            sharp: vec![0.01; frames * 7],
+            tolerance_m: 1e-5,
+            window,
+            overlap: 40,
+        }
+    }
+
+    const ANKLE: Place = Place { joint: 3, local_m: Vector3::new(0.0, 0.0, 0.0) };
+
+    fn stand(bones: &Bones, clip: &Clip, range: Range<usize>) -> Vec<Goal> {
+        let mut pose = Vec::new();
+        posed(bones, clip, usize::midpoint(range.start, range.end), &mut pose);
+        let target = ANKLE.of(&pose);
+        range.map(|frame| Goal { frame, want: Want::At(ANKLE, target) }).collect()
+    }
+
+    #[test]
+    fn goals_are_met_and_what_is_free_of_them_hardly_changes() {
+        let (bones, before) = leg(120);
+        let mut clip = before.clone();
+        let mut goals = stand(&bones, &clip, 50..62);
+        goals.extend((0..120).map(|frame| Goal { frame, want: Want::Above(ANKLE, -0.02) }));
+        let off = change(&bones, &mut clip, &freedoms(), &goals, &options(120, 1000));
+        assert!(off.iter().all(|o| *o < 1e-5), "{off:?}");
+        for frame in [0, 10, 110, 119] {
+            assert!((clip.root_m[frame] - before.root_m[frame]).norm() < 5e-3);
+        }
+        assert_eq!(clip.turns[4 * 55], before.turns[4 * 55], "what has no freedom stays to the bit");
+    }
+
+    #[test]
+    fn windows_change_a_long_clip_as_one_does() {
+        let (bones, before) = leg(400);
+        let goals: Vec<Goal> = (0..8).flat_map(|k| stand(&bones, &before, 30 + 48 * k..40 + 48 * k)).collect();
+        let mut whole = before.clone();
+        let mut parts = before.clone();
+        let off = change(&bones, &mut whole, &freedoms(), &goals, &options(400, 1000));
+        let again = change(&bones, &mut parts, &freedoms(), &goals, &options(400, 120));
+        assert!(off.iter().chain(&again).all(|o| *o < 1e-5));
+        for frame in 0..400 {
+            assert!((whole.root_m[frame] - parts.root_m[frame]).norm() < 2e-3, "frame {frame}");
+        }
+    }
+
+    #[test]
+    fn without_goals_nothing_changes() {
+        let (bones, before) = leg(30);
+        let mut clip = before.clone();
+        change(&bones, &mut clip, &freedoms(), &[], &options(30, 1000));
+        assert_eq!(clip.root_m, before.root_m);
+        assert_eq!(clip.turns, before.turns);
+    }
+
+    #[test]
+    fn every_kind_of_goal_has_its_derivative() {
+        let (bones, clip) = leg(3);
+        let free = freedoms();
+        let knee = Place { joint: 2, local_m: Vector3::new(0.03, 0.1, 0.0) };
+        let mut pose = Vec::new();
+        posed(&bones, &clip, 1, &mut pose);
+        let ahead = knee.of(&pose) + pose[2].turn * Vector3::new(0.01, 2.0, -0.02);
+        let wants = [
+            Want::At(ANKLE, Vector3::new(0.1, 0.2, 0.3)),
+            Want::Above(ANKLE, 2.0),
+            Want::Apart(ANKLE, knee, Vector3::new(0.1, 0.0, 0.1)),
+            Want::Within(Place { joint: 0, local_m: Vector3::zeros() }, ANKLE, 0.2),
+            Want::Look(knee, Vector3::y(), ahead),
+        ];
+        let set = options(3, 1000);
+        for want in wants {
+            let goals = [Goal { frame: 1, want }];
+            let window = Window::new(&bones, &free, &goals, 0..3, &set);
+            let rows_at = |clip: &Clip| {
+                let (mut pose, mut rows) = (Vec::new(), Vec::new());
+                posed(&bones, clip, 1, &mut pose);
+                goals[0].rows(&pose, &mut rows);
+                (pose, rows)
+            };
+            let (pose, rows) = rows_at(&clip);
+            assert!(!rows.is_empty());
+            for (d, freedom) in free.iter().enumerate() {
+                let step = 1e-6;
+                let moved = |by: f64| {
+                    let mut out = clip.clone();
+                    if freedom.shift {
+                        out.root_m[1] += freedom.axis * by;
+                    } else {
+                        out.turns[4 + freedom.joint] *= Rotation3::new(freedom.axis * by);
+                    }
+                    rows_at(&out).1
+                };
+                let (up, down) = (moved(step), moved(-step));
+                for (r, row) in rows.iter().enumerate() {
+                    let ours = window.entries(&pose, row).iter().find(|(e, _)| *e == d).map_or(0.0, |(_, v)| *v);
+                    let slope = (up[r].off - down[r].off) / (2.0 * step);
+                    // A look is told in axes that turn along with it: its rows may differ by what it misses.
+                    let allowed = if matches!(goals[0].want, Want::Look(..)) { 0.02 } else { 1e-5 };
+                    assert!((ours - slope).abs() < allowed, "{:?} freedom {d}: {ours} {slope}", goals[0].want);
                 }
             }
         }
