@@ -162,7 +162,7 @@ def finished(done: Joined, *, hold_feet: bool = True) -> Edited:
         feet = feet_of(body)
         floor = min(floor_m(clip, feet, find_plants(clip, feet)) for clip in done.clips)
         plants = placed(motion, feet, list(done.plants), floor)
-        motion, missed = held_feet(motion, body, feet, plants, floor)
+        motion, missed = held_feet(motion, body, feet, plants, floor, easily=1.0)
         feet_report = slides(motion, feet, plants, floor)
     sharp = sharpness(motion, list(zip(done.clips, done.frames, strict=True)))
     rows = [

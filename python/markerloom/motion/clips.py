@@ -49,7 +49,7 @@ def crop(
             f"{motion.first_frame}:{motion.first_frame + len(motion)} ({motion.source})"
         )
     out = motion.select(low, high)
-    return Edited(out, {"frames": [len(motion), len(out)], "warnings": []})
+    return Edited(out, {"frames_in_out": [len(motion), len(out)], "warnings": []})
 
 
 def in_place(motion: Motion) -> Edited:

@@ -23,6 +23,8 @@ from markerloom.skeleton.skeleton import Site, Skeleton
 Array = NDArray[np.floating[Any]]
 USUAL_LEG_M = 0.84
 """Distances and speeds of standing feet are those of somebody with legs of this length."""
+STANDS_M_PER_S = 0.12
+"""At the beginning and at the end of a stance a place is slower than this."""
 STEADIER = np.array([1.0, 1.0, 3.0])
 """A place that stands moves less upwards than sideways: a heel that rises has begun to leave the floor."""
 SLOWER = 2.0
@@ -136,7 +138,8 @@ def find_plants(motion: Motion, feet: Feet) -> list[Plant]:
         apart = max(2, round(APART_S * motion.rate_hz))
         for first, last in runs(low & (speed < SLOWER * SLOW_M_PER_S * feet.scale)):
             spans = _still(places, first, last, STAYS_M * feet.scale, shortest, apart)
-            out += [Plant(name, a, b) for a, b in spans]
+            trimmed = [_trimmed(speed, a, b, STANDS_M_PER_S * feet.scale, shortest) for a, b in spans]
+            out += [Plant(name, a, b) for a, b in trimmed]
     return sorted(out, key=lambda p: (p.start, p.site))
 
 
@@ -145,6 +148,15 @@ def _smoothed(places: Array, rate_hz: float) -> Array:
     half = max(1, round(0.02 * rate_hz))
     padded = np.pad(places, ((half, half), (0, 0)), mode="edge")
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=2)
+
+
+def _trimmed(speed: Array, first: int, last: int, slow: float, shortest: int) -> tuple[int, int]:
+    """A stance without the frames in which the place has not quite come to rest, or begins to leave."""
+    while last - first > shortest and speed[first] > slow:
+        first += 1
+    while last - first > shortest and speed[last - 1] > slow:
+        last -= 1
+    return first, last
 
 
 def _still(places: Array, first: int, last: int, stays: float, shortest: int, apart: int) -> list[tuple[int, int]]:

@@ -18,6 +18,8 @@ from markerloom.motion.spacetime import changed, floor_goals, knee_goals, leg_fr
 from markerloom.skeleton.motion import Motion
 
 LEAST_FRAMES = 4
+EASILY = 0.3
+"""A motion on its own body changes no further around its stances than it must."""
 
 
 def footlock(motion: Motion, *, plants: list[Plant] | None = None, floor: float | None = None) -> Edited:
@@ -52,11 +54,11 @@ def check_plants(plants: list[Plant], motion: Motion, feet: Feet) -> list[Plant]
 
 
 def held_feet(
-    motion: Motion, body: Body, feet: Feet, plants: list[Plant], floor: float
+    motion: Motion, body: Body, feet: Feet, plants: list[Plant], floor: float, *, easily: float = EASILY
 ) -> tuple[Motion, dict[str, float]]:
     """The motion with feet held, and by how much plants, floor and knees are missed (mm, the largest)."""
     goals = plant_goals(feet, plants), floor_goals(motion, feet, plants, floor), knee_goals(motion, body)
-    solved = changed(motion, leg_freedoms(motion, body, feet), [g for part in goals for g in part])
+    solved = changed(motion, leg_freedoms(motion, body, feet, easily=easily), [g for part in goals for g in part])
     edges = np.cumsum([len(part) for part in goals])[:-1]
     parts = np.split(1000.0 * solved.missed_m, edges)
     missed = {k: float(part.max(initial=0.0)) for k, part in zip(("plants", "floor", "knees"), parts, strict=True)}

@@ -61,7 +61,7 @@ def mix(clips: list[Motion], weights: list[float], *, hold_feet: bool = True) ->
     plants = _stances(clips, at, share)
     done = Joined(out, tuple(clips), tuple(at), (), tuple(plants))
     final = finished(done, hold_feet=hold_feet)
-    report = {"weights": share.tolist(), "frames": [*(len(c) for c in clips), len(out)], **final.report}
+    report = {"weights": share.tolist(), "frames_in_out": [*(len(c) for c in clips), len(out)], **final.report}
     return Edited(final.motion, report)
 
 

@@ -86,9 +86,10 @@ def _sharp(motion: Motion, freedoms: list[Freedom]) -> Array:
     return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.zeros((len(motion), 0))
 
 
-def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
+def leg_freedoms(motion: Motion, body: Body, feet: Feet, *, easily: float = 1.0) -> list[Freedom]:
     """What may change so that feet stand: the root a little, hips, knees about their axes, ankles, and the joints
-    between ankle and ball where these move the ball.
+    between ankle and ball where these move the ball. ``easily``: usual changes are so many times as large: the smaller,
+    the sooner a pose returns to what it was.
     """
     free = _root(feet.scale)
     for side in SIDES:
@@ -101,7 +102,7 @@ def leg_freedoms(motion: Motion, body: Body, feet: Feet) -> list[Freedom]:
             if joint != body.parts[f"{side}_foot"] and np.any(local):
                 upright = stands(body)
                 free += [(joint, body.lateral().tolist(), False, TOES_RAD)] if upright else _ball(joint, TOES_RAD)
-    return _unique(free)
+    return _unique([(joint, axis, shift, easily * usual) for joint, axis, shift, usual in free])
 
 
 def arm_freedoms(motion: Motion, body: Body, side: str) -> list[Freedom]:

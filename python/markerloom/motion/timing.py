@@ -75,7 +75,7 @@ def resample(motion: Motion, rate_hz: float) -> Edited:
     ratio = motion.rate_hz / rate_hz
     frames = int(np.floor((len(motion) - 1) / ratio + ON_A_FRAME)) + 1 if len(motion) else 0
     out = replace(sampled(motion, np.arange(frames) * ratio), rate_hz=rate_hz, first_frame=0)
-    return Edited(out, {"rate_hz": [motion.rate_hz, rate_hz], "frames": [len(motion), frames], "warnings": []})
+    return Edited(out, {"rate_hz": [motion.rate_hz, rate_hz], "frames_in_out": [len(motion), frames], "warnings": []})
 
 
 def timewarp(motion: Motion, keys: list[tuple[float, float]]) -> Edited:
@@ -106,4 +106,4 @@ def timewarp(motion: Motion, keys: list[tuple[float, float]]) -> Edited:
     speed = np.diff(times) * rate
     span = {"least": float(speed.min(initial=1.0)), "largest": float(speed.max(initial=1.0))}
     out = replace(sampled(motion, times * rate), first_frame=0)
-    return Edited(out, {"keys": len(keys), "frames": [len(motion), frames], "speed": span, "warnings": []})
+    return Edited(out, {"keys": len(keys), "frames_in_out": [len(motion), frames], "speed": span, "warnings": []})

@@ -17,7 +17,7 @@ from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
 UNITS_M = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
-MOTIONS_READ = (".bvh", ".amc")
+MOTIONS_READ = (".bvh", ".amc", ".glb")
 USD = (".usda", ".usdc")
 POINTS_OF_JOINTS = (".trc", ".c3d")
 TABLES = (".parquet", ".csv")
@@ -47,11 +47,13 @@ def unit_m(units: str) -> float:
 
 
 def read_motion(path: str | Path, *, units: str | None = None, up: str = "y", rate_hz: float | None = None) -> Motion:
-    """A motion from .bvh (units: cm unless said) or .amc with its .asf beside it (units: as the file says).
+    """A motion from .bvh (units: cm unless said), .amc with its .asf beside it (units: as the file says), or .glb.
 
-    AMC files have no frame rate: 120 Hz unless said.
+    AMC files have no frame rate: 120 Hz unless said. A .glb is sampled at ``rate_hz``, or at its own rate.
     """
     kind = Path(path).suffix.lower()
+    if kind == ".glb":
+        return _to_ours(glb.read(path, rate_hz), "y")
     if kind == ".bvh":
         motion = bvh.read(path, unit_m(units or "cm"))
     elif kind == ".amc":
