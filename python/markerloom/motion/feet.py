@@ -176,16 +176,16 @@ def _still(places: Array, first: int, last: int, stays: float, shortest: int, ap
 
 
 def floor_m(motion: Motion, feet: Feet, plants: list[Plant]) -> float:
-    """Height of the floor (m): as low as the feet usually get, but hardly lower than where they stand (a foot that
-    falls through the floor in a bad moment does not show where it is).
+    """Height of the floor (m): as low as the feet get, but hardly lower than where they stand (a foot that falls through
+    the floor in a bad moment does not show where it is).
     """
     world = feet.world_m(motion)
     if not len(motion):
         return 0.0
     lowest = np.min(np.stack([places[:, 2] for places in world.values()]), axis=0)
     standing = sorted({f for p in plants for f in range(p.start, p.stop)})
-    usual = float(np.percentile(lowest, 1))
-    return max(usual, float(np.median(lowest[standing])) - BELOW_M * feet.scale) if standing else usual
+    least = float(lowest.min())
+    return max(least, float(np.median(lowest[standing])) - BELOW_M * feet.scale) if standing else least
 
 
 def standing_heights(motion: Motion, feet: Feet, plants: list[Plant], floor: float) -> dict[str, float]:
