@@ -103,30 +103,32 @@ def joined(
     rest = len(motion) - leave
     come = tuple(np.concatenate([f[: leave + length], np.full(rest - length, np.nan)]) for f in before.frames)
     new = np.concatenate([np.full(leave, np.nan), enter + np.arange(rest, dtype=float)])
-    far = set(FEET_SITES) if free_feet else _far(before.plants, own, (head, placed_tail), (leave + mid, enter + mid))
-    kept = [_cut(p, 0, leave if p.site in far else leave + mid, 0) for p in before.plants]
-    added = [_cut(p, enter + (length if p.site in far else mid), len(tail), leave - enter) for p in own]
+    met = set() if free_feet else _met_sites(before.plants, own, (head, placed_tail), (leave + mid, enter + mid))
+    out, into = (0, length) if free_feet else (round(MOSTLY * length), length - round(MOSTLY * length))
+    kept = [_cut(p, 0, leave + (mid if p.site in met else out), 0) for p in before.plants]
+    added = [_cut(p, enter + (mid if p.site in met else into), len(tail), leave - enter) for p in own]
     stances = [p for p in (*kept, *added) if p.stop - p.start >= 3]
     joins = (*before.joins, (leave, leave + length))
     return Joined(motion, (*before.clips, replace(clip, first_frame=0)), (*come, new), joins, tuple(_met(stances)))
 
 
-FEET_SITES = ("l_heel", "l_ball", "r_heel", "r_ball")
+MOSTLY = 0.3
+"""A stance of one clip holds within the part of a fade in which that clip still counts for most."""
 MEETS_M = 0.04
 """A place that stands on both sides of a join stays where it is if both are nearer than this, in the size of usual
-legs; otherwise it is free to go there while the clips fade."""
+legs. One that stands on one side only, or elsewhere, is free to go while the clips fade."""
 
 
-def _far(before: tuple[Plant, ...], after: list[Plant], clips: tuple[Motion, Motion], at: tuple[int, int]) -> set[str]:
-    """Places that stand on both sides of a join, but not in the same spot."""
-    sites = {p.site for p in before if p.start <= at[0] < p.stop + 3} & {
-        p.site for p in after if p.start - 3 <= at[1] < p.stop
-    }
+def _met_sites(
+    before: tuple[Plant, ...], after: list[Plant], clips: tuple[Motion, Motion], at: tuple[int, int]
+) -> set[str]:
+    """Places that stand on both sides of a join in the same spot."""
+    sites = {p.site for p in before if p.start <= at[0] < p.stop} & {p.site for p in after if p.start <= at[1] < p.stop}
     if not sites:
         return set()
     feet = feet_of(body_of(clips[0].skeleton))
     spots = [feet.world_m(_span(clip, frame, frame + 1)) for clip, frame in zip(clips, at, strict=True)]
-    return {s for s in sites if np.linalg.norm(spots[0][s][0] - spots[1][s][0]) > MEETS_M * feet.scale}
+    return {s for s in sites if np.linalg.norm(spots[0][s][0] - spots[1][s][0]) < MEETS_M * feet.scale}
 
 
 def _span(motion: Motion, start: int, stop: int) -> Motion:

@@ -50,8 +50,8 @@ def strip(
     body = [pictures.line((0, height - 24), (WIDTH, height - 24), pictures.GRID)]
     for k, t in enumerate(moments):
         middle = (k + 0.5) * WIDTH / len(moments)
-        for (motion, color), own in zip(motions, shown, strict=True):
-            hips = motions[0][0].root_m[frames[0][k]] @ across
+        for (motion, color), own, at in zip(motions, shown, frames, strict=True):
+            hips = motion.root_m[at[k]] @ across
             for a, b in own[k]:
                 ends = []
                 for p in (a, b):

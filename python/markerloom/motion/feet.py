@@ -176,7 +176,7 @@ def _still(places: Array, first: int, last: int, stays: float, shortest: int, ap
 
 
 def floor_m(motion: Motion, feet: Feet, plants: list[Plant]) -> float:
-    """Height of the floor (m): as low as the feet get, but hardly lower than where they stand (a foot that falls through
+    """Height of the floor (m): as low as feet get, but hardly lower than where they stand (a foot that falls through
     the floor in a bad moment does not show where it is).
     """
     world = feet.world_m(motion)

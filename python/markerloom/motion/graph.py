@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import connected_components
 
 from markerloom.errors import InputError
 from markerloom.motion.alike import clouds, laid, minima
-from markerloom.motion.blend import BLEND_S, Joined, finished, joined
-from markerloom.motion.edited import Edited
+from markerloom.motion.blend import BLEND_S, Joined, eased, finished, joined
+from markerloom.motion.edited import STILL, Edited, accelerations, near_or_usual
 from markerloom.motion.library import Library, Transition, of_clips, stances
 from markerloom.motion.rotations import about_vertical
 from markerloom.skeleton.motion import Motion
@@ -27,6 +27,8 @@ from markerloom.skeleton.motion import Motion
 Array = NDArray[np.floating[Any]]
 SEARCH_HZ = 30.0
 """Transitions are searched at about this rate, and then refined."""
+CALM = 1.2
+"""A fade adds to the accelerations of its clips, but they grow at most so many times."""
 APART_S = 0.5
 """A transition to the same clip leads at least so far away in time; so long a clip is followed between two."""
 
@@ -85,7 +87,32 @@ def _transitions(clips: list[Motion], fade: int, least: float) -> list[Transitio
                     continue
                 turn, shift, _ = fine[a].alignment(middle, fine[b], other)
                 out.append(Transition(a, leave, b, enter, away, turn, (shift[0], shift[1])))
-    return sorted(set(out), key=lambda t: (t.from_clip, t.from_frame, t.to_clip, t.to_frame))
+    calm = _Calm(clips, fade)
+    kept = {t for t in out if calm.sharpness(t) <= CALM}
+    return sorted(kept, key=lambda t: (t.from_clip, t.from_frame, t.to_clip, t.to_frame))
+
+
+class _Calm:
+    """How sharp fades would be, by joints that go straight from one clip to the other."""
+
+    def __init__(self, clips: list[Motion], fade: int) -> None:
+        self.places = [c.joints_m() for c in clips]
+        self.bounds = [np.maximum(near_or_usual(accelerations(c)), STILL) for c in clips]
+        self.weights = np.concatenate([[0.0, 0.0], eased(fade), [1.0, 1.0]])[:, None, None]
+        self.fade, self.rate_hz = fade, clips[0].rate_hz
+
+    def sharpness(self, move: Transition) -> float:
+        """The largest acceleration over that of the clips around it."""
+        spans = []
+        for clip, frame in ((move.from_clip, move.from_frame), (move.to_clip, move.to_frame)):
+            at = np.clip(np.arange(frame - 2, frame + self.fade + 2), 0, len(self.places[clip]) - 1)
+            spans.append((self.places[clip][at], self.bounds[clip][at]))
+        (one, calm), (two, other) = spans
+        two = two @ about_vertical(move.turn_rad).T
+        two[..., :2] += move.shift_m
+        path = one + self.weights * (two - one)
+        sharp = np.linalg.norm(path[2:] - 2.0 * path[1:-1] + path[:-2], axis=2) * self.rate_hz**2
+        return float((sharp / np.maximum(calm, other)[1:-1]).max())
 
 
 def _refined(a: Any, b: Any, at: tuple[int, int], step: int, frames: tuple[int, int]) -> tuple[int, int, float]:

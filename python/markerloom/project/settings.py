@@ -52,6 +52,7 @@ class TakeSettings:
     hints: str = ""
     fit_from: str = ""
     solve_to: tuple[str, ...] = (".bvh",)
+    motion: str = ""
 
 
 @dataclass(frozen=True)
@@ -142,4 +143,5 @@ def _placed(settings: TakeSettings, folder: Path) -> TakeSettings:
         skeleton=at(settings.skeleton) if own else settings.skeleton,
         hints=at(settings.hints),
         fit_from=at(settings.fit_from),
+        motion=at(settings.motion),
     )

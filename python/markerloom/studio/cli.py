@@ -31,6 +31,7 @@ def view(
     ],
     calibration: Annotated[Path | None, typer.Option(help="The cameras, for a file.")] = None,
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Frame rate, where the file has none.")] = None,
+    motion: Annotated[Path | None, typer.Option(help="Bones of this motion over the file's markers or joints.")] = None,
     port: Annotated[int, typer.Option(help="0: the one of last time, or any.", min=0, max=65535)] = 0,
     page: Annotated[
         Path | None, typer.Option("--page", help="Write a file into one page instead.", metavar="FILE.html")
@@ -42,7 +43,7 @@ def view(
 
     Example: markerloom view walk.c3d · markerloom view walk.c3d --page walk.html
     """
-    workspace = open_workspace(what, calibration=calibration, rate_hz=rate_hz)
+    workspace = open_workspace(what, calibration=calibration, rate_hz=rate_hz, motion=motion)
     if page is not None:
         done = page_of(workspace, page)
         if not quiet:

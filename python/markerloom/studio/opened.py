@@ -29,6 +29,7 @@ from markerloom.project.settings import Project, TakeSettings
 from markerloom.rig import Rig
 from markerloom.skeleton.files import MOTIONS_READ, read_motion
 from markerloom.skeleton.motion import Motion
+from markerloom.skeleton.tables import as_points
 from markerloom.studio import stored, words
 
 
@@ -193,7 +194,7 @@ def open_take(project: Project, settings: TakeSettings) -> OpenTake:
     """
     folder = results_of(project, settings)
     folder.mkdir(parents=True, exist_ok=True)
-    stamp = _stamp([Path(p) for p in (settings.file, settings.calibration, *settings.subjects) if p])
+    stamp = _stamp([Path(p) for p in (settings.file, settings.calibration, settings.motion, *settings.subjects) if p])
     if len(stamp[0]) == 1:
         raise InputError(f"there is no file {settings.file}")
     listed = edits_path(settings.file)
@@ -205,7 +206,7 @@ def open_take(project: Project, settings: TakeSettings) -> OpenTake:
     if found is None and motion is None:
         _store(project, settings, folder, key)
         found = stored.load(folder / "sheet", key)
-    sheet = found.sheet if found else _without_markers(motion, settings)
+    sheet = found.sheet if found else _of_motion(motion, settings)
     note = folder / "sheet" / "warnings.json"
     take = OpenTake(
         project=project,
@@ -216,7 +217,7 @@ def open_take(project: Project, settings: TakeSettings) -> OpenTake:
         folder=folder,
         has_dots=bool(settings.calibration) and motion is None and holds_dots(Path(settings.file)),
         rig=formats.read_calibration(settings.calibration) if settings.calibration else None,
-        motion=motion or _solved(project, settings),
+        motion=read_motion(settings.motion) if settings.motion else motion or _solved(project, settings),
         stamp=stamp,
         processed=edits,
     )
@@ -244,7 +245,10 @@ def _is_motion(settings: TakeSettings) -> bool:
     return Path(settings.file).suffix.lower() in MOTIONS_READ
 
 
-def _without_markers(motion: Motion | None, settings: TakeSettings) -> Sheet:
+def _of_motion(motion: Motion | None, settings: TakeSettings) -> Sheet:
+    """A motion has no markers; under another motion its joints are shown as if they were."""
+    if motion is not None and settings.motion:
+        return Sheet.of(as_points(motion))
     return Sheet(0, len(motion or ()), motion.rate_hz if motion else None, [], settings.file)
 
 

@@ -100,23 +100,30 @@ class Workspace:
         threading.Thread(target=work, name=f"open {entry.settings.name}", daemon=True).start()
 
 
-def view(path: str | Path, *, calibration: str | Path | None = None, rate_hz: float | None = None) -> Workspace:
+def view(
+    path: str | Path,
+    *,
+    calibration: str | Path | None = None,
+    rate_hz: float | None = None,
+    motion: str | Path | None = None,
+) -> Workspace:
     """What `view` shows: a project's folder, or a file of points, dots (with ``calibration``) or motion.
 
+    ``motion``: a motion whose bones are shown over the file's markers, or over the joints of its own motion.
     Raises ``InputError`` for what it cannot show. Takes are opened when they are first looked at.
     """
     path = Path(path)
     if path.is_dir() or path.name == FILE:
-        if calibration is not None or rate_hz is not None:
-            raise InputError(f"calibration and rate of a project's takes are in its {FILE}")
+        if calibration is not None or rate_hz is not None or motion is not None:
+            raise InputError(f"calibration, rate and motion of a project's takes are in its {FILE}")
         project, is_project = read_project(path), True
     else:
-        project, is_project = _of_file(path, calibration, rate_hz), False
+        project, is_project = _of_file(path, calibration, rate_hz, motion), False
     key = hashlib.sha256(str(project.folder).encode()).hexdigest()[:16]
     return Workspace(project, is_project, {t.name: Entry(t) for t in project.takes}, key)
 
 
-def _of_file(path: Path, calibration: str | Path | None, rate_hz: float | None) -> Project:
+def _of_file(path: Path, calibration: str | Path | None, rate_hz: float | None, motion: str | Path | None) -> Project:
     if not path.is_file():
         raise InputError(f"there is no file or project {path}")
     kind = formats.ending(path)
@@ -127,16 +134,19 @@ def _of_file(path: Path, calibration: str | Path | None, rate_hz: float | None) 
         raise InputError(f"{path.name} holds dots: say with --calibration which cameras saw them")
     if calibration is not None and not Path(calibration).is_file():
         raise InputError(f"there is no file {calibration}")
+    if motion is not None and (formats.ending(motion) not in MOTIONS_READ or not Path(motion).is_file()):
+        raise InputError(f"there is no motion {motion}: {', '.join(MOTIONS_READ)}")
     path = path.resolve()
     settings = TakeSettings(
         name=path.name[: -len(kind)],
         file=str(path),
         calibration="" if calibration is None else str(Path(calibration).resolve()),
         rate_hz=rate_hz or 0.0,
+        motion="" if motion is None else str(Path(motion).resolve()),
         fill="none",
         export=(),
     )
-    known = hashlib.sha256(f"{settings.file}\n{settings.calibration}".encode()).hexdigest()[:16]
+    known = hashlib.sha256(f"{settings.file}\n{settings.calibration}\n{settings.motion}".encode()).hexdigest()[:16]
     return Project(cache_folder() / known, settings.name, (settings,))
 
 
