@@ -12,6 +12,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*/*.py"))
 LAST_LINES = {
     "first_points.py": r"\d+ points in 50 frames, 100 % of frames certified",
     "three_methods.py": r"optimal +found (99\.9\d|100\.00) %, ghosts per frame 0\.0\d",
+    "edit_motions.py": r"along the line: 0\.\d\d m rms from it",
     "capture.py": r"\d+ dots of 2 cameras → out/capture/dots.csv",
     "your_own_rig.py": r"point \[0\.2, 0\.1, 1\.3\] m, uncertain by 0\.\d\d mm",
 }

@@ -10,11 +10,14 @@ import pytest
 from fastapi.testclient import TestClient
 
 import markerloom as ml
+from markerloom.errors import InputError
 from markerloom.mending import edits as e
 from markerloom.mending.sheet import Sheet
 from markerloom.studio import chunks, stored
+from markerloom.studio.opened import open_take
 from markerloom.studio.page import page_is_built
 from markerloom.studio.wire import typescript
+from motion_clips import walk
 from studio_client import HOST, TOKEN, Studio
 from test_mending import take as swing
 
@@ -444,3 +447,18 @@ def test_the_layout_of_chunks_is_documented() -> None:
     text = (Path(__file__).parents[1] / "docs/reference/studio.md").read_text("utf-8")
     assert f"version {chunks.VERSION}" in text
     assert f"{chunks.HEADER.size} bytes" in text
+
+
+def test_a_motion_is_shown_over_another(tmp_path: Path) -> None:
+    """The joints of one motion as dots, the bones of the other: before and after an edit."""
+    clip = walk(1.0)
+    ml.write_motion(clip, tmp_path / "before.bvh")
+    ml.write_motion(ml.motion.bands(clip, preset="livelier").motion, tmp_path / "after.bvh")
+    workspace = ml.view(tmp_path / "before.bvh", motion=tmp_path / "after.bvh")
+    (entry,) = workspace.entries.values()
+    take = open_take(workspace.project, entry.settings)
+    assert [t.label for t in take.sheet.trajectories] == list(clip.skeleton.joints)
+    assert take.motion is not None
+    assert np.abs(take.motion.joints_m() - ml.read_motion(tmp_path / "after.bvh").joints_m()).max() < 1e-9
+    with pytest.raises(InputError, match="there is no motion"):
+        ml.view(tmp_path / "before.bvh", motion=tmp_path / "gone.bvh")

@@ -4,6 +4,7 @@ Every operation takes motions (`markerloom.read_motion`) and gives back an `Edit
 what it changed.
 """
 
+from markerloom.motion import rotations
 from markerloom.motion.alike import distances
 from markerloom.motion.bands import band_hz, bands, split
 from markerloom.motion.blend import blend, concatenate, through_neutral
@@ -76,6 +77,7 @@ __all__ = [
     "read_mapping",
     "resample",
     "retarget",
+    "rotations",
     "sampled",
     "save_edit_page",
     "sharpness",

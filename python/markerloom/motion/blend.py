@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 from markerloom.errors import InputError
 from markerloom.motion.alike import MEASURES, distances, laid, laid_onto
 from markerloom.motion.body import body_of
-from markerloom.motion.edited import STILL, Edited, accelerations, near_or_usual, same_skeleton, sharpness
+from markerloom.motion.edited import (
+    STILL,
+    Edited,
+    accelerations,
+    at_frames,
+    glued,
+    near_or_usual,
+    same_skeleton,
+    sharpness,
+)
 from markerloom.motion.feet import Plant, feet_of, find_plants, floor_m, placed, slides
 from markerloom.motion.footlock import held_feet
 from markerloom.motion.rotations import exp, heading, log, unwrapped
@@ -93,13 +102,7 @@ def joined(
     placed_tail = laid_onto(head, min(leave + mid, len(head) - 1), tail, min(enter + mid, len(tail) - 1))
     fade = mixed(_span(head, leave, leave + length), _span(placed_tail, enter, enter + length), eased(length))
     parts = (_span(head, 0, leave), fade, _span(placed_tail, enter + length, len(tail)))
-    motion = replace(
-        head,
-        root_m=np.concatenate([p.root_m for p in parts]),
-        turns=np.concatenate([p.turns for p in parts]),
-        kind=np.concatenate([p.kind for p in parts]),
-        sigma_mm=np.concatenate([p.sigma_mm for p in parts]),
-    )
+    motion = glued(list(parts))
     rest = len(motion) - leave
     come = tuple(np.concatenate([f[: leave + length], np.full(rest - length, np.nan)]) for f in before.frames)
     new = np.concatenate([np.full(leave, np.nan), enter + np.arange(rest, dtype=float)])
@@ -133,10 +136,7 @@ def _met_sites(
 
 def _span(motion: Motion, start: int, stop: int) -> Motion:
     """Frames of a motion; beyond its end it goes on as it ends."""
-    at = np.minimum(np.arange(start, stop), len(motion) - 1)
-    return replace(
-        motion, root_m=motion.root_m[at], turns=motion.turns[at], kind=motion.kind[at], sigma_mm=motion.sigma_mm[at]
-    )
+    return at_frames(motion, np.minimum(np.arange(start, stop), len(motion) - 1))
 
 
 def _cut(plant: Plant, start: int, stop: int, shift: int) -> Plant:

@@ -14,7 +14,7 @@ from markerloom.motion.alike import clouds, distances, laid
 from markerloom.motion.bands import low_passed
 from markerloom.motion.blend import BLEND_S, Joined, begun, eased, finished, mixed
 from markerloom.motion.body import SIDES, body_of, split_name
-from markerloom.motion.edited import Edited
+from markerloom.motion.edited import Edited, at_frames, glued
 from markerloom.motion.feet import Plant
 from markerloom.motion.rotations import about_vertical
 from markerloom.motion.upright import standing_rest, stands
@@ -171,8 +171,8 @@ def loop(
     i, j = _ends(motion, length, start, stop)
     turn, shift, away = clouds(motion).alignment(j, clouds(motion), i)
     before = laid(motion, turn, np.array(shift))
-    fade = mixed(_part(motion, j - length, j), _part(before, i - length, i), eased(length))
-    cycle = _glued([_part(motion, i, j - length), fade])
+    fade = mixed(at_frames(motion, slice(j - length, j)), at_frames(before, slice(i - length, i)), eased(length))
+    cycle = glued([at_frames(motion, slice(i, j - length)), fade])
     done = _repeated(motion, cycle, (turn, np.array(shift)), times, i, length)
     out = finished(done, hold_feet=hold_feet)
     final = in_place(out.motion).motion if on_the_spot else out.motion
@@ -216,27 +216,6 @@ def _moved(motion: Motion) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)]) / (0.2 * size)
 
 
-def _part(motion: Motion, start: int, stop: int) -> Motion:
-    return replace(
-        motion,
-        root_m=motion.root_m[start:stop],
-        turns=motion.turns[start:stop],
-        kind=motion.kind[start:stop],
-        sigma_mm=motion.sigma_mm[start:stop],
-    )
-
-
-def _glued(parts: list[Motion]) -> Motion:
-    return replace(
-        parts[0],
-        root_m=np.concatenate([p.root_m for p in parts]),
-        turns=np.concatenate([p.turns for p in parts]),
-        kind=np.concatenate([p.kind for p in parts]),
-        sigma_mm=np.concatenate([p.sigma_mm for p in parts]),
-        first_frame=0,
-    )
-
-
 def _repeated(motion: Motion, cycle: Motion, step: tuple[float, Array], times: int, start: int, length: int) -> Joined:
     """The cycle over and over, each time laid onto the end of the one before; and the source's stances in it."""
     period = len(cycle)
@@ -256,4 +235,4 @@ def _repeated(motion: Motion, cycle: Motion, step: tuple[float, Array], times: i
     back = np.where(np.arange(period) >= period - length, one - period, np.nan)
     joins = tuple((n * period + period - length, (n + 1) * period) for n in range(times))
     frames = (np.tile(one, times), np.tile(back, times))
-    return Joined(_glued(rounds), (motion, motion), frames, joins, tuple(plants))
+    return Joined(glued(rounds), (motion, motion), frames, joins, tuple(plants))

@@ -22,6 +22,25 @@ class Edited:
     report: dict[str, Any] = field(default_factory=dict)
 
 
+def at_frames(motion: Motion, at: Any) -> Motion:
+    """The frames of a motion that an index or a slice names (from 0), as a motion of their own."""
+    return replace(
+        motion, root_m=motion.root_m[at], turns=motion.turns[at], kind=motion.kind[at], sigma_mm=motion.sigma_mm[at]
+    )
+
+
+def glued(parts: list[Motion]) -> Motion:
+    """Motions of one skeleton, one after the other as they are."""
+    return replace(
+        parts[0],
+        root_m=np.concatenate([p.root_m for p in parts]),
+        turns=np.concatenate([p.turns for p in parts]),
+        kind=np.concatenate([p.kind for p in parts]),
+        sigma_mm=np.concatenate([p.sigma_mm for p in parts]),
+        first_frame=0,
+    )
+
+
 def accelerations(motion: Motion) -> Array:
     """Size of every joint's acceleration (frames, joints; m/s², world), by second differences; 0 at both ends."""
     places = motion.joints_m()

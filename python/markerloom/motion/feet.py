@@ -33,7 +33,7 @@ APART_S = 0.2
 """Between two stances of one place in different spots there is at least so much time."""
 BELOW_M = 0.06
 """The floor is at most so far below the lowest place of a standing foot: joints are inside of feet."""
-TURNS_S, ALIKE_M, SHORTEST = 0.1, 1e-3, 3
+TURNS_S, ALIKE_M, SHORTEST = 0.25, 1e-3, 3
 """A foot needs so long (s) to turn from a stance of one end to one of the other that is further from it than the foot
 is long (m). A stance shorter than so many frames is none."""
 NEAR_FLOOR_M = 0.12

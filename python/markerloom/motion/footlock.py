@@ -18,7 +18,7 @@ from markerloom.motion.spacetime import changed, floor_goals, knee_goals, leg_fr
 from markerloom.skeleton.motion import Motion
 
 LEAST_FRAMES = 4
-EASILY = 0.3
+EASILY = 0.2
 """A motion on its own body changes no further around its stances than it must."""
 
 

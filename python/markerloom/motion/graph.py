@@ -18,8 +18,8 @@ from scipy.sparse.csgraph import connected_components
 
 from markerloom.errors import InputError
 from markerloom.motion.alike import clouds, laid, minima
-from markerloom.motion.blend import BLEND_S, Joined, eased, finished, joined
-from markerloom.motion.edited import STILL, Edited, accelerations, near_or_usual
+from markerloom.motion.blend import BLEND_S, Joined, eased, finished, joined, mixed
+from markerloom.motion.edited import STILL, Edited, accelerations, at_frames, near_or_usual
 from markerloom.motion.library import Library, Transition, of_clips, stances
 from markerloom.motion.rotations import about_vertical
 from markerloom.skeleton.motion import Motion
@@ -169,7 +169,8 @@ def walk(library: Library, seconds: float, *, seed: int = 0, hold_feet: bool = T
         nexts = [t for t in exits[clip] if t.from_frame >= at + _least(library)] or [
             t for t in exits[clip] if t.from_frame >= at
         ]
-        move = nexts[int(chance.integers(min(len(nexts), CHOICES)))]
+        some = [nexts[k] for k in chance.permutation(min(len(nexts), CHOICES))]
+        move = next((t for t in some if _sharpness(library, t) <= SHARPEST), some[0])
         steps.append(Step(clip, at, move))
         length += move.from_frame - at + library.fade
         clip, at = move.to_clip, move.to_frame + library.fade
@@ -177,8 +178,23 @@ def walk(library: Library, seconds: float, *, seed: int = 0, hold_feet: bool = T
     return _made(library, steps, frames, hold_feet)
 
 
-CHOICES = 12
-"""Of the next so many transitions one is taken."""
+CHOICES, SHARPEST = 12, 1.4
+"""Of the next so many transitions one is taken whose fade is at most so many times as sharp as its clips."""
+
+
+def _sharpness(library: Library, move: Transition) -> float:
+    """How sharp a fade is beside its clips, as it will be made."""
+    spans, bounds = [], []
+    for number, frame in ((move.from_clip, move.from_frame), (move.to_clip, move.to_frame)):
+        clip = library.clips[number]
+        at = np.clip(np.arange(frame - 8, frame + library.fade + 8), 0, len(clip) - 1)
+        around = at_frames(clip, at)
+        inner = slice(6, len(at) - 6)
+        spans.append(at_frames(around, inner))
+        bounds.append(near_or_usual(accelerations(around))[inner])
+    weights = np.concatenate([[0.0, 0.0], eased(library.fade), [1.0, 1.0]])
+    made = mixed(spans[0], laid(spans[1], move.turn_rad, move.shift_m), weights)
+    return float((accelerations(made) / np.maximum(np.maximum(*bounds), STILL)).max())
 
 
 def _frames(library: Library, seconds: float) -> int:
@@ -231,13 +247,7 @@ def _begun_at(library: Library, step: Step) -> Joined:
     """The first clip from where the way enters it."""
     clip = library.clips[step.clip]
     start = step.entered
-    part = replace(
-        clip,
-        root_m=clip.root_m[start:],
-        turns=clip.turns[start:],
-        kind=clip.kind[start:],
-        sigma_mm=clip.sigma_mm[start:],
-    )
+    part = at_frames(clip, slice(start, None))
     plants = [replace(p, start=max(p.start - start, 0), stop=p.stop - start) for p in library.plants[step.clip]]
     kept = tuple(p for p in plants if p.stop - p.start >= 3)
     return Joined(part, (clip,), (start + np.arange(len(part), dtype=float),), (), kept)
@@ -245,7 +255,7 @@ def _begun_at(library: Library, step: Step) -> Joined:
 
 def _cut(done: Joined, frames: int) -> Joined:
     """The first so many frames."""
-    part = _first(done.motion, frames)
+    part = at_frames(done.motion, slice(frames))
     plants = [replace(p, stop=min(p.stop, frames)) for p in done.plants if p.start < frames]
     return Joined(
         part,
@@ -253,17 +263,6 @@ def _cut(done: Joined, frames: int) -> Joined:
         tuple(f[:frames] for f in done.frames),
         tuple(j for j in done.joins if j[1] <= frames),
         tuple(p for p in plants if p.stop - p.start >= 3),
-    )
-
-
-def _first(motion: Motion, frames: int) -> Motion:
-    """The first frames of a motion."""
-    return replace(
-        motion,
-        root_m=motion.root_m[:frames],
-        turns=motion.turns[:frames],
-        kind=motion.kind[:frames],
-        sigma_mm=motion.sigma_mm[:frames],
     )
 
 

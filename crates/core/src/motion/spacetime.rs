@@ -62,10 +62,10 @@ pub struct Options {
 
 /// Rounds of Gauss–Newton on a level: only the last must meet its goals.
 const ROUNDS: usize = 3;
-const LAST_ROUNDS: usize = 12;
+const LAST_ROUNDS: usize = 24;
 /// A round that gains less than this part of the cost is the last of its level.
 const GAINS: f64 = 0.02;
-const LAST_GAINS: f64 = 0.001;
+const LAST_GAINS: f64 = 1e-5;
 /// Damping of steps, in parts of what a change costs: raised after a step that made things worse, lowered after others.
 const MORE_DAMPING: f64 = 10.0;
 const LESS_DAMPING: f64 = 0.2;
