@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import markerloom as ml
 from markerloom.errors import FormatError, InputError
 from markerloom.motion.body import body_of, split_name
-from markerloom.motion.feet import Plant
+from markerloom.motion.feet import Plant, placed
 from markerloom.motion.upright import stands
 from markerloom.skeleton import Skeleton
 from markerloom.skeleton.motion import with_rest
@@ -101,6 +101,15 @@ def test_stances_can_be_said() -> None:
     ):
         with pytest.raises(InputError, match=said):
             ml.motion.footlock(clip, plants=[bad])
+
+
+def test_stances_never_grow() -> None:
+    """A foot cannot keep its length to two stances of its other end: one of them gives way, and stays inside itself."""
+    clip = walk()
+    feet = ml.motion.feet_of(body_of(clip.skeleton))
+    plants = [Plant("l_ball", 0, 42), Plant("l_heel", 40, 46), Plant("l_ball", 60, 110), Plant("l_heel", 44, 64)]
+    for plant in placed(clip, feet, plants, 0.0):
+        assert any(p.site == plant.site and p.start <= plant.start < plant.stop <= p.stop for p in plants)
 
 
 def test_feet_need_legs_and_frames() -> None:

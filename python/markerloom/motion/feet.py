@@ -255,7 +255,8 @@ def _without(plant: Plant, others: list[Plant], margin: int) -> Plant:
             stop = min(stop, other.start - margin)
         else:
             start = max(start, other.stop + margin)
-    return replace(plant, start=min(max(start, plant.start), plant.stop), stop=max(min(stop, plant.stop), start))
+    start = min(start, plant.stop)
+    return replace(plant, start=start, stop=max(stop, start))
 
 
 def _beside(fixed: Array, wanted: Array, span: float | None) -> Array:
