@@ -8,6 +8,8 @@ bvhsdk.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -272,13 +274,20 @@ def peers(python: str | None) -> None:
         folder = Path(name)
 
         def run(*arguments: object) -> float:
-            done = subprocess.run(
-                [python, str(script), *map(str, arguments)], capture_output=True, text=True, check=False
-            )
-            if done.returncode:
-                print("  ", done.stderr.strip().splitlines()[-1])
+            # A session of its own: what has workers is ended with them.
+            command = [python, str(script), *map(str, arguments)]
+            pipe = subprocess.PIPE
+            with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as program:
+                try:
+                    said, wrong = program.communicate(timeout=PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    os.killpg(program.pid, signal.SIGKILL)
+                    print(f"  {arguments[0]}: not done after {PATIENCE_S} s")
+                    return float("nan")
+            if program.returncode:
+                print("  ", wrong.strip().splitlines()[-1])
                 return float("nan")
-            return float(done.stdout.split()[-1])
+            return float(said.split()[-1])
 
         _peer_blend(folder, run)
         _peer_walk(folder, run)
