@@ -266,6 +266,17 @@ def test_a_mapping_and_constraints_can_be_edited(tmp_path: Path) -> None:
     assert again.floor_m == pytest.approx(found.floor_m, abs=1e-6)
 
 
+def test_a_floor_that_is_not_said_is_found() -> None:
+    clip = walk()
+    raised = replace(clip, root_m=clip.root_m + np.array([0.0, 0.0, 0.3]))
+    found = ml.motion.find_constraints(raised, body_of(clip.skeleton))
+    target = with_limbs(clip.skeleton, 0.9)
+    said = ml.motion.retarget(raised, target, constraints=found)
+    unsaid = ml.motion.retarget(raised, target, constraints=replace(found, floor_m=None))
+    assert found.floor_m == pytest.approx(0.3, abs=1e-3)
+    assert np.array_equal(said.motion.root_m, unsaid.motion.root_m)
+
+
 def test_skeletons_that_cannot_be_matched(tmp_path: Path) -> None:
     clip = walk()
     dog = Skeleton("dog", ("body", "tail"), (-1, 0), np.array([[0, 0, 0], [0.3, 0, 0]], float))

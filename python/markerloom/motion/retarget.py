@@ -19,7 +19,7 @@ from markerloom.motion.bands import low_passed
 from markerloom.motion.body import Body, body_of
 from markerloom.motion.constraints import Constraints, find_constraints
 from markerloom.motion.edited import Edited, sharpness
-from markerloom.motion.feet import Plant, feet_of, placed, rest_heights, slides, standing_heights
+from markerloom.motion.feet import Plant, feet_of, floor_m, placed, rest_heights, slides, standing_heights
 from markerloom.motion.footlock import check_length, check_plants
 from markerloom.motion.mapping import Mapping, followed, guess, indices, with_parts
 from markerloom.motion.rotations import about_vertical
@@ -74,14 +74,13 @@ def retarget(
         return Edited(replace(motion, skeleton=target), {"same_skeleton": True, "warnings": []})
     check_length(motion)
     body, fellow = with_parts(body_of(target), body_of(motion.skeleton), pairs)
-    source, fellow = _standing(motion, fellow, motion)
+    source, fellow, _ = _standing(motion, fellow, motion)
     still = Motion(target, np.zeros((1, 3)), np.tile(np.eye(3), (1, len(target), 1, 1)), motion.rate_hz)
-    standing, body = _standing(still, body, target_motion if target_motion is not None else still)
+    standing, body, rest = _standing(still, body, target_motion if target_motion is not None else still)
     held = find_constraints(source, fellow) if constraints is None else constraints
     problem = _Problem(source, fellow, standing.skeleton, body, pairs, held)
     out, report = problem.solve()
-    if standing is not still:
-        rest = standing_rest(target_motion if target_motion is not None else still, body)
+    if rest is not None:
         out = with_rest(out, np.swapaxes(rest, 1, 2))
     return Edited(replace(out, skeleton=target), report)
 
@@ -92,12 +91,15 @@ def _same(source: Skeleton, target: Skeleton, pairs: dict[int, int]) -> bool:
     return bool(np.abs(source.offsets_m[1:] - target.offsets_m[1:]).max(initial=0.0) < SAME_M)
 
 
-def _standing(motion: Motion, body: Body, shown: Motion) -> tuple[Motion, Body]:
-    """A motion told against a rest pose that somebody stands in, found in ``shown`` where its own is none."""
+def _standing(motion: Motion, body: Body, shown: Motion) -> tuple[Motion, Body, Array | None]:
+    """A motion told against a rest pose that somebody stands in, found in ``shown`` where its own is none; and that
+    pose, if it had to be found.
+    """
     if stands(body):
-        return motion, body
-    other = with_rest(motion, standing_rest(shown, body))
-    return other, Body(other.skeleton, body.parts, body.spine, body.neck)
+        return motion, body, None
+    rest = standing_rest(shown, body)
+    other = with_rest(motion, rest)
+    return other, Body(other.skeleton, body.parts, body.spine, body.neck), rest
 
 
 class _Problem:
@@ -116,14 +118,17 @@ class _Problem:
         self.feet, self.their_feet = feet_of(body), feet_of(fellow)
         self.scale = body.leg_m() / fellow.leg_m()
         self.constraints = constraints
-        self.floor = constraints.floor_m or 0.0
         self.plants = check_plants(list(constraints.plants), source, self.their_feet)
+        said = constraints.floor_m
+        self.floor = floor_m(source, self.their_feet, self.plants) if said is None else said
+        self.their_heights = standing_heights(source, self.their_feet, self.plants, self.floor)
+        self.their_world = self.their_feet.world_m(source)
         self.heights = self._heights()
         self.naive = self._transferred()
 
     def _heights(self) -> dict[str, float]:
         """How high above the floor each place of the target's feet is while it stands (m)."""
-        theirs = standing_heights(self.source, self.their_feet, self.plants, self.floor)
+        theirs = self.their_heights
         rest, own = rest_heights(self.fellow.skeleton, self.their_feet), rest_heights(self.target, self.feet)
         above = [theirs[name] - rest[name] for name in theirs]
         usual = float(np.median(above)) if above else 0.0
@@ -139,13 +144,14 @@ class _Problem:
         alike = _alignments(self.fellow, self.body, self.pairs)
         world = np.empty((frames, joints, 3, 3))
         chains = _chains(self.fellow, self.body, self.pairs, turn)
-        for j in [*_pelvis_first(self.target, self.body)]:
+        above = self._above_pelvis()
+        for j in _pelvis_first(self.target, self.body):
             p = self.target.parents[j]
             if j in self.pairs:
                 world[:, j] = turn[:, self.pairs[j]] @ alike[j]
             elif j in chains:
                 world[:, j] = chains[j] @ alike[j]
-            elif j in self._above_pelvis():
+            elif j in above:
                 world[:, j] = world[:, self.body.parts["pelvis"]]
             else:
                 world[:, j] = world[:, p]
@@ -172,7 +178,7 @@ class _Problem:
     def _path(self, hips: Array) -> Array:
         """Where the target's hips go: from where the source's begin, steps and heights in the size of its legs."""
         out = hips[0] + self.scale * (hips - hips[0])
-        theirs = standing_heights(self.source, self.their_feet, self.plants, self.floor)
+        theirs = self.their_heights
         ankles = [self.heights[n] - self.scale * theirs[n] for n in ("l_heel", "r_heel") if n in theirs]
         lift = float(np.mean(ankles)) if ankles else 0.0
         out[:, 2] = self.floor + self.scale * (hips[:, 2] - self.floor) + lift
@@ -203,9 +209,9 @@ class _Problem:
 
     def _height(self, plant: Plant) -> float:
         """How high a place of the target stands (m, world): its own height, and what the source's stands higher."""
-        at = self.their_feet.world_m(self.source)[plant.site][plant.start : plant.stop, 2].mean()
-        usual = standing_heights(self.source, self.their_feet, self.plants, self.floor)[plant.site]
-        return self.floor + self.heights[plant.site] + self.scale * float(at - self.floor - usual)
+        at = self.their_world[plant.site][plant.start : plant.stop, 2].mean()
+        higher = float(at) - self.floor - self.their_heights[plant.site]
+        return self.floor + self.heights[plant.site] + self.scale * higher
 
     def _touches(self) -> tuple[list[Goal], list[Freedom]]:
         goals: list[Goal] = []

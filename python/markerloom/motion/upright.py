@@ -62,8 +62,7 @@ def standing_rest(motion: Motion, body: Body) -> Array:
         toe = body.parts.get(f"{side}_toes", foot)
         height = place[:, foot, 2] + place[:, toe, 2]
         flat = int(np.argmin(height))
-        own = body.group(motion.skeleton.joints[foot])
-        below = [j for j in range(len(motion.skeleton)) if _hangs(motion.skeleton, j, own[0])]
+        below = [j for j in range(len(motion.skeleton)) if _hangs(motion.skeleton, j, foot)]
         rest[below] = _faced(turn[flat], place[flat], body)[below]
     return rest
 
