@@ -10,7 +10,10 @@ from scipy.spatial.transform import Rotation
 import markerloom as ml
 from markerloom.errors import FormatError, InputError
 from markerloom.motion.body import body_of, split_name
-from markerloom.motion.feet import Plant, placed
+from markerloom.motion.calm import calmed
+from markerloom.motion.edited import accelerations
+from markerloom.motion.feet import Plant, feet_of, placed, with_time
+from markerloom.motion.looks import find_looks, lines, meeting
 from markerloom.motion.upright import stands
 from markerloom.skeleton import Skeleton
 from markerloom.skeleton.motion import with_rest
@@ -220,6 +223,59 @@ def test_a_rest_pose_that_is_none() -> None:
         ml.motion.retarget(still, target)
 
 
+def test_what_trembles_against_itself_stays_as_calm() -> None:
+    """A root that trembles and a spine that takes it back: a body with no spine keeps as calm as its source."""
+    clip = walk()
+    shaken = replace(clip, turns=clip.turns.copy())
+    tremble = 0.06 * np.sin(np.arange(len(clip)) * 2.0) * (np.arange(len(clip)) % 80 > 60)
+    for joint, sign in ((0, 1.0), (clip.skeleton.index("Spine"), -1.0)):
+        turn = Rotation.from_rotvec(np.outer(sign * tremble, [0.0, 1.0, 0.0])).as_matrix()
+        shaken.turns[:, joint] = shaken.turns[:, joint] @ turn
+    target = spineless()
+    out = ml.motion.retarget(shaken, target)
+    assert out.report["sharpness"] <= 1.5
+    assert out.report["calmed_mm"]["max"] > 1.0
+    assert out.report["slide_mm"] <= 1.0
+    assert ml.motion.retarget(clip, target).report["calmed_mm"]["max"] == 0.0
+
+
+def spineless() -> Skeleton:
+    """The figure, with arms and neck on its hips, from where its chest is."""
+    body = figure()
+    kept = [j for j, name in enumerate(body.joints) if name not in ("Spine", "Chest")]
+    lifted = np.where([body.parents[j] == body.index("Chest") for j in kept], 0.3, 0.0)
+    return Skeleton(
+        name="spineless",
+        joints=tuple(body.joints[j] for j in kept),
+        parents=tuple(-1 if j == 0 else kept.index(body.parents[j]) if body.parents[j] in kept else 0 for j in kept),
+        offsets_m=body.offsets_m[kept] + lifted[:, None] * [0.0, 0.0, 1.0],
+        sites=tuple(replace(site, joint=kept.index(site.joint)) for site in body.sites),
+    )
+
+
+def test_smoothing_leaves_alone_what_is_calm() -> None:
+    clip = walk()
+    allowed = accelerations(clip) + 1e-9
+    assert np.array_equal(calmed(clip, allowed).turns, clip.turns)
+    jerked = replace(clip, root_m=clip.root_m.copy())
+    jerked.root_m[100] += [0.0, 0.0, 0.02]
+    out = calmed(jerked, np.broadcast_to(2.0 * accelerations(clip).max(axis=0), allowed.shape))
+    assert (accelerations(out) <= 2.0 * accelerations(clip).max(axis=0)).all()
+    assert np.array_equal(
+        np.delete(out.root_m, range(75, 126), axis=0), np.delete(jerked.root_m, range(75, 126), axis=0)
+    )
+
+
+def test_feet_get_the_time_they_need() -> None:
+    clip = walk()
+    feet = feet_of(body_of(clip.skeleton))
+    one, two = Plant("l_heel", 0, 100, (0.0, 0.0, 0.1)), Plant("l_heel", 105, 200, (0.0, 0.05, 0.1))
+    calm = np.full((len(clip), len(clip.skeleton)), 5.0)
+    before, after = with_time([one, two], feet, calm, 60.0)
+    assert (after.start - before.stop) / 60.0 >= np.sqrt(5.77 * 0.05 / 5.0)
+    assert with_time([one, two], feet, 100.0 * calm, 60.0) == [one, two]
+
+
 def test_hands_that_touch_still_do() -> None:
     clip = walk()
     body = clip.skeleton
@@ -249,6 +305,46 @@ def test_a_head_looks_where_it_is_told() -> None:
     head = target.index("Head")
     way = np.array([1.5, -3.0, 1.2]) - place[100, head]
     assert (turn[100, head] @ [0.0, -1.0, 0.0]) @ (way / np.linalg.norm(way)) > 0.99999
+
+
+def watching(place_m: tuple[float, float, float], start: int, stop: int) -> ml.Motion:
+    """A walk whose head faces one place for a while, to within a degree."""
+    clip = walk()
+    turn, place = clip.segments()
+    head, neck = clip.skeleton.index("Head"), clip.skeleton.index("Neck")
+    rng = np.random.default_rng(0)
+    for f in range(start, stop):
+        way = np.array(place_m) - place[f, head] + rng.normal(0.0, 0.01, 3)
+        side = np.cross([0.0, 0.0, 1.0], -way)
+        columns = [side / np.linalg.norm(side), -way / np.linalg.norm(way)]
+        world = np.stack([*columns, np.cross(*columns)], axis=1)
+        clip.turns[f, head] = turn[f, neck].T @ world
+    return clip
+
+
+def test_a_look_is_found_and_goes_along() -> None:
+    where = (1.2, -2.0, 1.0)
+    clip = watching(where, 60, 180)
+    (look,) = ml.motion.find_constraints(clip, body_of(clip.skeleton)).looks
+    assert (look.start, look.stop) == (pytest.approx(60, abs=12), pytest.approx(180, abs=12))
+    out = ml.motion.retarget(clip, with_limbs(clip.skeleton, 1.2))
+    assert out.report["missed_mm"]["looks"] <= 0.1
+    eyes, ahead = lines(out.motion, body_of(out.motion.skeleton))
+    place = meeting(eyes[look.start : look.stop], ahead[look.start : look.stop])
+    way = place - eyes[look.start : look.stop]
+    missed_rad = np.linalg.norm(np.cross(ahead[look.start : look.stop], way), axis=1) / np.linalg.norm(way, axis=1)
+    assert missed_rad.max() < 1e-4
+
+
+def test_heads_that_look_at_nothing() -> None:
+    clip = walk()
+    body = body_of(clip.skeleton)
+    assert find_looks(clip, body, 1.0) == []
+    head, swing = clip.skeleton.index("Head"), 0.5 * np.sin(2.0 * np.pi * np.arange(len(clip)) / len(clip))
+    shaking = replace(clip, turns=clip.turns.copy())
+    shaking.turns[:, head] = Rotation.from_rotvec(np.outer(swing, [0.0, 0.0, 1.0])).as_matrix()
+    still = replace(shaking, root_m=0.0 * clip.root_m)
+    assert find_looks(still, body, 1.0) == []
 
 
 def test_a_mapping_and_constraints_can_be_edited(tmp_path: Path) -> None:

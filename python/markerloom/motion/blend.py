@@ -21,12 +21,13 @@ from markerloom.motion.edited import (
     Edited,
     accelerations,
     at_frames,
+    bounds,
     glued,
     near_or_usual,
     same_skeleton,
     sharpness,
 )
-from markerloom.motion.feet import Plant, feet_of, find_plants, floor_m, placed, slides
+from markerloom.motion.feet import Plant, feet_of, find_plants, floor_m, placed, slides, with_time
 from markerloom.motion.footlock import held_feet
 from markerloom.motion.rotations import exp, heading, log, unwrapped
 from markerloom.motion.upright import stands
@@ -160,13 +161,14 @@ def finished(done: Joined, *, hold_feet: bool = True) -> Edited:
     motion, missed = done.motion, {}
     body = body_of(motion.skeleton)
     feet_report: dict[str, Any] = {}
+    allowed = bounds(list(zip(done.clips, done.frames, strict=True)), len(motion))
     if hold_feet and not body.missing() and len(motion) > 3:
         feet = feet_of(body)
         floor = min(floor_m(clip, feet, find_plants(clip, feet)) for clip in done.clips)
-        plants = placed(motion, feet, list(done.plants), floor)
-        motion, missed = held_feet(motion, body, feet, plants, floor, easily=1.0)
+        plants = with_time(placed(motion, feet, list(done.plants), floor), feet, allowed, motion.rate_hz)
+        motion, missed = held_feet(motion, body, feet, plants, floor, easily=1.0, allowed=allowed)
         feet_report = slides(motion, feet, plants, floor)
-    sharp = sharpness(motion, list(zip(done.clips, done.frames, strict=True)))
+    sharp = accelerations(motion) / allowed
     rows = [
         {"from": a, "to": b, "sharpness": float(sharp[max(a - 2, 0) : b + 2].max(initial=0.0))} for a, b in done.joins
     ]

@@ -101,12 +101,9 @@ def _descendants(skeleton: Skeleton) -> list[list[int]]:
 
 
 def _between(skeleton: Skeleton, top: int, end: int) -> list[int]:
-    """The joints below one (-1: from the root on) down to another, from the end upwards."""
-    way = []
-    while end not in (top, -1):
-        way.append(end)
-        end = skeleton.parents[end]
-    return way
+    """The joints below one down to another, from the end upwards."""
+    way = [end, *skeleton.above(end)]
+    return way[: way.index(top)] if top in way else way
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -148,9 +145,8 @@ def body_of(skeleton: Skeleton) -> Body:
         parts["head"] = head
     spine: list[int] = []
     if "pelvis" in parts and "chest" in parts:
-        above = {parts["pelvis"], *_between(skeleton, -1, parts["pelvis"])}
-        way = [j for j in _between(skeleton, -1, parts["chest"]) if j not in above and j != parts["chest"]]
-        spine = way[::-1]
+        above = {parts["pelvis"], *skeleton.above(parts["pelvis"])}
+        spine = [j for j in reversed(skeleton.above(parts["chest"])) if j not in above]
     neck: list[int] = []
     if head is not None and "chest" in parts:
         neck = [j for j in reversed(_between(skeleton, parts["chest"], head)) if j != head]
@@ -183,27 +179,13 @@ def _keep_in_line(skeleton: Skeleton, found: dict[str, int], limb: tuple[str, ..
     for part in limb:
         if part not in found:
             continue
-        if top is not None and found[part] != top and not _hangs(skeleton, found[part], top):
+        if top is not None and found[part] != top and top not in skeleton.above(found[part]):
             del found[part]
             continue
         top = found[part]
 
 
-def _hangs(skeleton: Skeleton, joint: int, top: int) -> bool:
-    while joint >= 0:
-        joint = skeleton.parents[joint]
-        if joint == top:
-            return True
-    return False
-
-
 def _common(skeleton: Skeleton, joints: list[int]) -> int:
     """The lowest joint above all of these."""
-    ways = []
-    for joint in joints:
-        way, at = [], skeleton.parents[joint]
-        while at >= 0:
-            way.append(at)
-            at = skeleton.parents[at]
-        ways.append(way)
+    ways = [skeleton.above(joint) for joint in joints]
     return next((j for j in ways[0] if all(j in way for way in ways)), 0)

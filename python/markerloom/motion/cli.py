@@ -21,6 +21,7 @@ from markerloom.motion.mapping import guess, read_mapping, write_mapping
 from markerloom.motion.page import save_edit_page
 from markerloom.motion.retarget import retarget
 from markerloom.motion.timing import resample, timewarp
+from markerloom.motion.upright import standing
 from markerloom.motion.warp import BY, warp
 from markerloom.skeleton.definition import read_skeleton
 from markerloom.skeleton.files import MOTIONS_READ, MOTIONS_WRITTEN, read_skeleton_file
@@ -282,7 +283,8 @@ def retarget_command(
     if mapping_out is not None:
         write_mapping(known, body, mapping_out)
     if constraints_out is not None:
-        write_constraints(held or find_constraints(motion, body_of(motion.skeleton)), constraints_out)
+        source, fellow, _ = standing(motion, body_of(motion.skeleton), motion)
+        write_constraints(held or find_constraints(source, fellow), constraints_out)
     inputs = [p for p in (clip, Path(target), mapping, constraints) if p is not None and p.is_file()]
     said = f"on '{body.name}', {len(known.joints)} of {len(body)} joints follow; {said_of_feet(result.report)}"
     finish(result, [motion], inputs, output, how, options, said, told, page=page, report=report, quiet=quiet)

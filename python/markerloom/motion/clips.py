@@ -45,8 +45,8 @@ def crop(
         high = motion.first_frame + round(to_s * motion.rate_hz)
     if not motion.first_frame <= low < high <= motion.first_frame + len(motion):
         raise InputError(
-            f"frames {low}:{high} are not in the clip, which has frames "
-            f"{motion.first_frame}:{motion.first_frame + len(motion)} ({motion.source})"
+            f"there is nothing from frame {low} to before frame {high} in '{motion.source}', which begins with frame "
+            f"{motion.first_frame} and ends before frame {motion.first_frame + len(motion)}"
         )
     out = motion.select(low, high)
     return Edited(out, {"frames_in_out": [len(motion), len(out)], "warnings": []})

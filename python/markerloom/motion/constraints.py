@@ -6,7 +6,7 @@ Found in the source, kept as TOML for editing. Frames are those of the clip, fro
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from markerloom.errors import FormatError, InputError
 from markerloom.formats.files import read_text, write_text
 from markerloom.motion.body import SIDES, Body
 from markerloom.motion.feet import USUAL_LEG_M, Plant, feet_of, find_plants, floor_m
+from markerloom.motion.looks import find_looks
+from markerloom.motion.upright import stands
 from markerloom.skeleton.contacts import runs
 from markerloom.skeleton.motion import Motion
 
@@ -49,11 +51,11 @@ class Hold:
 
 @dataclass(frozen=True)
 class Look:
-    """The head faces a place of the world (m)."""
+    """The head faces one place; ``where_m``: which (m, world), if that is said; otherwise what it faces anyway."""
 
     start: int
     stop: int
-    where_m: tuple[float, float, float]
+    where_m: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,14 @@ class Constraints:
     plants: tuple[Plant, ...] = ()
     touches: tuple[Touch, ...] = ()
     holds: tuple[Hold, ...] = ()
-    looks: tuple[Look, ...] = field(default=())
+    looks: tuple[Look, ...] = ()
     floor_m: float | None = None
 
 
 def find_constraints(motion: Motion, body: Body) -> Constraints:
-    """What holds in a motion: feet that stand, the floor, hands together, hands that stay while the body moves."""
+    """What holds in a motion: feet that stand, the floor, hands together, hands that stay while the body moves, and
+    what the head looks at, where the rest pose is one of somebody who stands and faces ahead.
+    """
     feet = feet_of(body)
     plants = find_plants(motion, feet)
     scale = body.leg_m() / USUAL_LEG_M
@@ -85,7 +89,8 @@ def find_constraints(motion: Motion, body: Body) -> Constraints:
         for side, places in hands.items()
         for a, b in _stays(places, motion.root_m, HOLD_M * scale, HOLD_S * motion.rate_hz, HOLD_MOVES_M * scale)
     ]
-    return Constraints(tuple(plants), tuple(touches), tuple(holds), (), floor_m(motion, feet, plants))
+    looks = tuple(Look(a, b) for a, b in find_looks(motion, body, scale)) if stands(body) else ()
+    return Constraints(tuple(plants), tuple(touches), tuple(holds), looks, floor_m(motion, feet, plants))
 
 
 def _stays(places: Array, body: Array, within: float, least: float, moves: float) -> list[tuple[int, int]]:

@@ -63,9 +63,9 @@ def near_or_usual(acceleration: Array) -> Array:
     return np.maximum(near, np.percentile(acceleration, 99, axis=0)) if len(acceleration) else acceleration
 
 
-def sharpness(motion: Motion, sources: list[tuple[Motion, Array]], joints: list[int] | None = None) -> Array:
-    """How sharp every joint is beside its sources (frames, joints): its acceleration over the largest that a source
-    has at that joint within 5 frames of the moment it comes from, or over its 99th percentile, if that is larger.
+def bounds(sources: list[tuple[Motion, Array]], frames: int, joints: list[int] | None = None) -> Array:
+    """How sharp joints may be (frames, joints; m/s²): the largest acceleration that a source has at a joint within 5
+    frames of the moment that a frame comes from, or its 99th percentile, if that is larger.
 
     ``sources``: motions with, for every frame, the frame that it comes from (NaN: from none); ``joints``: of every
     joint the source's joint that it follows, where the skeletons differ.
@@ -73,13 +73,18 @@ def sharpness(motion: Motion, sources: list[tuple[Motion, Array]], joints: list[
     sizes = [accelerations(source) if joints is None else accelerations(source)[:, joints] for source, _ in sources]
     # What comes from nowhere (a neutral pose) may be as sharp as the sources usually are.
     usual = [np.percentile(own, 99, axis=0) for own in sizes if own.size and own.max() > STILL]
-    bound = np.tile(np.maximum(np.min(usual, axis=0), STILL) if usual else STILL, (len(motion), 1))
-    bound = np.broadcast_to(bound, (len(motion), len(motion.skeleton))).copy()
-    for (_, frames), own in zip(sources, sizes, strict=True):
-        known = np.isfinite(frames)
-        at = np.clip(np.round(frames[known]).astype(int), 0, len(own) - 1)
-        bound[known] = np.maximum(bound[known], near_or_usual(own)[at])
-    return accelerations(motion) / bound
+    out = np.tile(np.maximum(np.min(usual, axis=0), STILL) if usual else STILL, (frames, 1))
+    out = np.broadcast_to(out, (frames, sizes[0].shape[1])).copy()
+    for (_, origin), own in zip(sources, sizes, strict=True):
+        known = np.isfinite(origin)
+        at = np.clip(np.round(origin[known]).astype(int), 0, len(own) - 1)
+        out[known] = np.maximum(out[known], near_or_usual(own)[at])
+    return out
+
+
+def sharpness(motion: Motion, sources: list[tuple[Motion, Array]], joints: list[int] | None = None) -> Array:
+    """How sharp every joint is beside its sources (frames, joints): its acceleration as a part of `bounds`."""
+    return accelerations(motion) / bounds(sources, len(motion), joints)
 
 
 def moved_mm(before: Motion, after: Motion) -> dict[str, float]:

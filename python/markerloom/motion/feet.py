@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,9 @@ APART_S = 0.2
 """Between two stances of one place in different spots there is at least so much time."""
 BELOW_M = 0.06
 """The floor is at most so far below the lowest place of a standing foot: joints are inside of feet."""
+MOVE = 5.77
+"""A move from rest to rest without jerks has so many times the acceleration of way over time squared (Flash and Hogan
+1985)."""
 TURNS_S, ALIKE_M, SHORTEST = 0.25, 1e-3, 3
 """A foot needs so long (s) to turn from a stance of one end to one of the other that is further from it than the foot
 is long (m). A stance shorter than so many frames is none."""
@@ -229,6 +233,25 @@ def placed(
         if kept.stop - kept.start >= SHORTEST:
             done.append(replace(kept, where_m=(float(where[0]), float(where[1]), float(where[2]))))
     return sorted(done, key=lambda p: (p.start, p.site))
+
+
+def with_time(plants: list[Plant], feet: Feet, allowed: Array, rate_hz: float) -> list[Plant]:
+    """Placed plants that end earlier and begin later where a place has too little time to go from one to the next as
+    calmly as it may (``allowed``: of every joint in every frame, m/s²). None loses more than half of its frames.
+    """
+    out = list(plants)
+    for site in {p.site for p in plants}:
+        own = [k for k, p in enumerate(plants) if p.site == site]
+        for a, b in pairwise(own):
+            way = float(np.linalg.norm(np.subtract(plants[b].where_m or (), plants[a].where_m or ())))
+            between = slice(plants[a].stop, max(plants[b].start, plants[a].stop + 1))
+            calm = float(allowed[between, feet.places[site][0]].max())
+            wanted = np.sqrt(MOVE * way / calm) * rate_hz
+            more = max(0, int(np.ceil(0.5 * (wanted - (plants[b].start - plants[a].stop)))))
+            shorter = [min(more, (plants[k].stop - plants[k].start) // 4) for k in (a, b)]
+            out[a] = replace(out[a], stop=out[a].stop - shorter[0])
+            out[b] = replace(out[b], start=out[b].start + shorter[1])
+    return [p for p in out if p.stop - p.start >= SHORTEST]
 
 
 def _same_foot(a: Plant, b: Plant) -> bool:

@@ -9,14 +9,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from markerloom.errors import InputError
 from markerloom.motion.body import SIDES, Body, body_of
 from markerloom.motion.edited import Edited, moved_mm, sharpness
 from markerloom.motion.feet import Feet, Plant, feet_of, find_plants, floor_m, placed, slides
-from markerloom.motion.spacetime import changed, floor_goals, knee_goals, leg_freedoms, plant_goals, straightness
+from markerloom.motion.spacetime import (
+    calmly_changed,
+    changed,
+    floor_goals,
+    knee_goals,
+    leg_freedoms,
+    plant_goals,
+    straightness,
+)
 from markerloom.skeleton.motion import Motion
 
+Array = NDArray[np.floating[Any]]
 LEAST_FRAMES = 4
 EASILY = 0.2
 """A motion on its own body changes no further around its stances than it must."""
@@ -54,11 +64,22 @@ def check_plants(plants: list[Plant], motion: Motion, feet: Feet) -> list[Plant]
 
 
 def held_feet(
-    motion: Motion, body: Body, feet: Feet, plants: list[Plant], floor: float, *, easily: float = EASILY
+    motion: Motion,
+    body: Body,
+    feet: Feet,
+    plants: list[Plant],
+    floor: float,
+    *,
+    easily: float = EASILY,
+    allowed: Array | None = None,
 ) -> tuple[Motion, dict[str, float]]:
-    """The motion with feet held, and by how much plants, floor and knees are missed (mm, the largest)."""
+    """The motion with feet held, and by how much plants, floor and knees are missed (mm, the largest).
+
+    ``allowed``: how sharp joints may get by it (frames, joints; m/s²), if that matters.
+    """
     goals = plant_goals(feet, plants), floor_goals(motion, feet, plants, floor), knee_goals(motion, body)
-    solved = changed(motion, leg_freedoms(motion, body, feet, easily=easily), [g for part in goals for g in part])
+    free, every = leg_freedoms(motion, body, feet, easily=easily), [g for part in goals for g in part]
+    solved = changed(motion, free, every) if allowed is None else calmly_changed(motion, free, every, allowed)
     edges = np.cumsum([len(part) for part in goals])[:-1]
     parts = np.split(1000.0 * solved.missed_m, edges)
     missed = {k: float(part.max(initial=0.0)) for k, part in zip(("plants", "floor", "knees"), parts, strict=True)}

@@ -43,14 +43,15 @@ def guess(source: Skeleton, target: Skeleton) -> Mapping:
             )
     pairs: dict[int, int] = {}
     for part, joint in theirs.parts.items():
+        # A body without a spine has its chest in its hips: these come first.
         if part in ours.parts:
-            pairs[joint] = ours.parts[part]
+            pairs.setdefault(joint, ours.parts[part])
     for chain, own in ((theirs.spine, ours.spine), (theirs.neck, ours.neck)):
         if len(chain) == len(own):
             pairs |= dict(zip(chain, own, strict=True))
     by_name = {_plain(name): j for j, name in enumerate(source.joints)}
     used = set(pairs.values())
-    trunk = {*theirs.spine, *theirs.neck, *_above(target, theirs.parts["pelvis"])}
+    trunk = {*theirs.spine, *theirs.neck, *target.above(theirs.parts["pelvis"])}
     for j, name in enumerate(target.joints):
         k = by_name.get(_plain(name))
         if j not in pairs and j not in trunk and k is not None and k not in used:
@@ -60,14 +61,6 @@ def guess(source: Skeleton, target: Skeleton) -> Mapping:
 
 def _plain(name: str) -> str:
     return name.rpartition(":")[2].lower().replace("_", "").replace(" ", "")
-
-
-def _above(skeleton: Skeleton, joint: int) -> list[int]:
-    way = []
-    while skeleton.parents[joint] >= 0:
-        joint = skeleton.parents[joint]
-        way.append(joint)
-    return way
 
 
 def indices(mapping: Mapping, source: Skeleton, target: Skeleton) -> dict[int, int]:

@@ -17,10 +17,12 @@ from scipy.spatial.transform import Rotation
 from markerloom.errors import InputError
 from markerloom.motion.bands import low_passed
 from markerloom.motion.body import Body, body_of
+from markerloom.motion.calm import calmed
 from markerloom.motion.constraints import Constraints, find_constraints
-from markerloom.motion.edited import Edited, sharpness
-from markerloom.motion.feet import Plant, feet_of, floor_m, placed, rest_heights, slides, standing_heights
+from markerloom.motion.edited import Edited, accelerations, bounds, moved_mm
+from markerloom.motion.feet import Plant, feet_of, floor_m, placed, rest_heights, slides, standing_heights, with_time
 from markerloom.motion.footlock import check_length, check_plants
+from markerloom.motion.looks import lines, meeting
 from markerloom.motion.mapping import Mapping, followed, guess, indices, with_parts
 from markerloom.motion.rotations import about_vertical
 from markerloom.motion.spacetime import (
@@ -28,7 +30,7 @@ from markerloom.motion.spacetime import (
     Freedom,
     Goal,
     arm_freedoms,
-    changed,
+    calmly_changed,
     floor_goals,
     head_freedoms,
     knee_goals,
@@ -37,12 +39,14 @@ from markerloom.motion.spacetime import (
     straightness,
     together,
 )
-from markerloom.motion.upright import standing_rest, stands
+from markerloom.motion.upright import standing
 from markerloom.skeleton.motion import Motion, with_rest
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
 SAME_M = 1e-9
+CALM = 1.4
+"""Joints may be so many times as sharp as their fellows before feet are held."""
 FLAT_PARTS = ("pelvis", "head", "left_foot", "right_foot", "left_toes", "right_toes")
 """Parts that only follow the heading of the source's rest pose: a foot of another shape stands flat, too."""
 NEXT = {
@@ -74,11 +78,11 @@ def retarget(
         return Edited(replace(motion, skeleton=target), {"same_skeleton": True, "warnings": []})
     check_length(motion)
     body, fellow = with_parts(body_of(target), body_of(motion.skeleton), pairs)
-    source, fellow, _ = _standing(motion, fellow, motion)
+    source, fellow, _ = standing(motion, fellow, motion)
     still = Motion(target, np.zeros((1, 3)), np.tile(np.eye(3), (1, len(target), 1, 1)), motion.rate_hz)
-    standing, body, rest = _standing(still, body, target_motion if target_motion is not None else still)
+    bones, body, rest = standing(still, body, target_motion if target_motion is not None else still)
     held = find_constraints(source, fellow) if constraints is None else constraints
-    problem = _Problem(source, fellow, standing.skeleton, body, pairs, held)
+    problem = _Problem(source, fellow, bones.skeleton, body, pairs, held)
     out, report = problem.solve()
     if rest is not None:
         out = with_rest(out, np.swapaxes(rest, 1, 2))
@@ -89,17 +93,6 @@ def _same(source: Skeleton, target: Skeleton, pairs: dict[int, int]) -> bool:
     if source.parents != target.parents or any(j != k for j, k in pairs.items()):
         return False
     return bool(np.abs(source.offsets_m[1:] - target.offsets_m[1:]).max(initial=0.0) < SAME_M)
-
-
-def _standing(motion: Motion, body: Body, shown: Motion) -> tuple[Motion, Body, Array | None]:
-    """A motion told against a rest pose that somebody stands in, found in ``shown`` where its own is none; and that
-    pose, if it had to be found.
-    """
-    if stands(body):
-        return motion, body, None
-    rest = standing_rest(shown, body)
-    other = with_rest(motion, rest)
-    return other, Body(other.skeleton, body.parts, body.spine, body.neck), rest
 
 
 class _Problem:
@@ -124,7 +117,19 @@ class _Problem:
         self.their_heights = standing_heights(source, self.their_feet, self.plants, self.floor)
         self.their_world = self.their_feet.world_m(source)
         self.heights = self._heights()
-        self.naive = self._transferred()
+        self.allowed = self._allowed()
+        transferred = self._transferred()
+        self.naive = calmed(transferred, CALM * self.allowed)
+        self.calmed_mm = moved_mm(transferred, self.naive)
+
+    def _allowed(self) -> Array:
+        """How sharp joints may be (frames, joints; m/s²): as their fellows; those that follow none as they like."""
+        out = bounds(self._origin(), len(self.source), followed(self.target, self.pairs))
+        out[:, [j for j in range(len(self.target)) if j not in self.pairs]] = np.inf
+        return out
+
+    def _origin(self) -> list[tuple[Motion, Array]]:
+        return [(self.source, np.arange(len(self.source), dtype=float))]
 
     def _heights(self) -> dict[str, float]:
         """How high above the floor each place of the target's feet is while it stands (m)."""
@@ -144,7 +149,7 @@ class _Problem:
         alike = _alignments(self.fellow, self.body, self.pairs)
         world = np.empty((frames, joints, 3, 3))
         chains = _chains(self.fellow, self.body, self.pairs, turn)
-        above = self._above_pelvis()
+        above = self.target.above(self.body.parts["pelvis"])
         for j in _pelvis_first(self.target, self.body):
             p = self.target.parents[j]
             if j in self.pairs:
@@ -168,13 +173,6 @@ class _Problem:
         root_m = theirs + low_passed(wanted - theirs, self.source.rate_hz)
         return replace(out, root_m=root_m, source=self.source.source)
 
-    def _above_pelvis(self) -> set[int]:
-        above, at = set(), self.target.parents[self.body.parts["pelvis"]]
-        while at >= 0:
-            above.add(at)
-            at = self.target.parents[at]
-        return above
-
     def _path(self, hips: Array) -> Array:
         """Where the target's hips go: from where the source's begin, steps and heights in the size of its legs."""
         out = hips[0] + self.scale * (hips - hips[0])
@@ -187,6 +185,7 @@ class _Problem:
     def solve(self) -> tuple[Motion, dict[str, Any]]:
         """Hold what must hold."""
         plants = placed(self.naive, self.feet, self._own_plants(), self.floor, self._height)
+        plants = with_time(plants, self.feet, self.allowed, self.naive.rate_hz)
         free = leg_freedoms(self.naive, self.body, self.feet)
         groups: dict[str, list[Goal]] = {
             "plants": plant_goals(self.feet, plants),
@@ -196,7 +195,8 @@ class _Problem:
         groups["touches"], arms = self._touches()
         groups["holds"], more = self._holds()
         groups["looks"], necks = self._looks()
-        solved = changed(self.naive, together(free, arms, more, necks), [g for own in groups.values() for g in own])
+        goals = [g for own in groups.values() for g in own]
+        solved = calmly_changed(self.naive, together(free, arms, more, necks), goals, self.allowed)
         edges = np.cumsum([len(own) for own in groups.values()])[:-1]
         missed = {
             k: 1000.0 * float(part.max(initial=0.0))
@@ -243,12 +243,11 @@ class _Problem:
         if not self.constraints.looks:
             return [], []
         head = self._part("head")
-        ahead = np.cross(self.body.lateral(), [0.0, 0.0, 1.0])
+        forward = np.cross(self.body.lateral(), [0.0, 0.0, 1.0]).tolist()
+        eyes, ahead = lines(self.naive, self.body)
         for look in self.constraints.looks:
-            goals += [
-                ("look", f, head, NOWHERE, 0, ahead.tolist(), list(look.where_m), 0.0)
-                for f in range(look.start, look.stop)
-            ]
+            where = look.where_m or meeting(eyes[look.start : look.stop], ahead[look.start : look.stop]).tolist()
+            goals += [("look", f, head, NOWHERE, 0, forward, list(where), 0.0) for f in range(look.start, look.stop)]
         return goals, head_freedoms(self.body)
 
     def _part(self, name: str) -> int:
@@ -264,8 +263,7 @@ class _Problem:
         return arm_freedoms(self.naive, self.body, side) if part.endswith("_hand") else []
 
     def _report(self, out: Motion, plants: list[Plant], missed_mm: dict[str, float]) -> dict[str, Any]:
-        frames = np.arange(len(out), dtype=float)
-        sharp = sharpness(out, [(self.source, frames)], followed(self.target, self.pairs))[:, sorted(self.pairs)]
+        sharp = accelerations(out) / self.allowed
         straightest = {s: float(straightness(out, self.body, s).max()) for s in ("left", "right")}
         warnings = [f"{kind}: missed by up to {mm:.1f} mm" for kind, mm in missed_mm.items() if mm > 1.0]
         unmapped = [name for j, name in enumerate(self.target.joints) if j not in self.pairs]
@@ -276,6 +274,7 @@ class _Problem:
             "missed_mm": missed_mm,
             "constraints": {k: len(getattr(self.constraints, k)) for k in ("plants", "touches", "holds", "looks")},
             "joints": {"followed": len(self.pairs), "at_rest": unmapped},
+            "calmed_mm": self.calmed_mm,
             "sharpness": float(sharp.max(initial=0.0)),
             "straightest_leg": straightest,
             "leg_stretch": 0.0,

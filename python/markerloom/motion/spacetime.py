@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from markerloom import _core
 from markerloom.motion.body import ARM, SIDES, Body
+from markerloom.motion.calm import above, near
 from markerloom.motion.edited import accelerations, near_or_usual
 from markerloom.motion.feet import NEAR_FLOOR_M, Feet, Plant
 from markerloom.motion.rotations import about, reference
@@ -25,6 +26,10 @@ LEVELS = [(4, 3e-3), (2, 1e-3), (1, 1e-4), (1, 1e-5)]
 SHARP = 0.5
 """A change is sharp where it adds this part of the acceleration that a joint has there anyway."""
 LEAST_SHARP_M_PER_S2 = 0.3
+SHARPEST, CALM = 1.45, 1.4
+"""Where joints are sharper than allowed by the first, all that are by more than the second get calmer."""
+STEADIER_ROUNDS, STEADIER, MET_M = 3, 0.6, 1e-4
+"""So often a change has to ease in by so much more slowly, while goals are met so well (m)."""
 WINDOW, OVERLAP_S = 1500, 1.0
 """Frames of a window, and how long two of them share (s)."""
 ROOT_M, ROOT_RAD = 0.03, 0.02
@@ -46,8 +51,11 @@ class Solved:
     missed_m: Array
 
 
-def changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal]) -> Solved:
-    """The motion that meets the goals and differs as little as that allows."""
+def changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal], steadier: Array | None = None) -> Solved:
+    """The motion that meets the goals and differs as little as that allows.
+
+    ``steadier``: of every joint in every frame (frames, joints) how sharply it may change, as a part of usual.
+    """
     skeleton = motion.skeleton
     overlap = max(8, round(OVERLAP_S * motion.rate_hz))
     root_m, turns, missed = _core.change_motion(
@@ -58,14 +66,32 @@ def changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal]) -> Solve
         freedoms,
         goals,
         LEVELS,
-        _sharp(motion, freedoms),
+        _sharp(motion, freedoms, steadier),
         TOLERANCE_M,
         (max(WINDOW, 4 * overlap), overlap),
     )
     return Solved(replace(motion, root_m=root_m, turns=turns), np.array(missed))
 
 
-def _sharp(motion: Motion, freedoms: list[Freedom]) -> Array:
+def calmly_changed(motion: Motion, freedoms: list[Freedom], goals: list[Goal], allowed: Array) -> Solved:
+    """The same with accelerations (frames, joints; m/s²) that are allowed, as far as may be: where joints get sharper,
+    changes have to ease in more slowly, as long as goals are still met.
+    """
+    best, least, steadier = None, np.inf, np.ones(allowed.shape)
+    for _ in range(STEADIER_ROUNDS + 1):
+        solved = changed(motion, freedoms, goals, steadier)
+        sharp = accelerations(solved.motion) / allowed
+        worst = float(sharp.max(initial=0.0))
+        if best is None or (worst < least and solved.missed_m.max(initial=0.0) < MET_M):
+            best, least = solved, worst
+        if worst <= SHARPEST:
+            break
+        steadier *= 1.0 - STEADIER * near(above((sharp > CALM).astype(float), motion.skeleton))
+    assert best is not None
+    return best
+
+
+def _sharp(motion: Motion, freedoms: list[Freedom], steadier: Array | None) -> Array:
     """How sharply each freedom may change in each frame (frames, freedoms; rad or m per frame²): by how much the joints
     that it moves are accelerated anyway, there or usually.
     """
@@ -82,7 +108,8 @@ def _sharp(motion: Motion, freedoms: list[Freedom]) -> Array:
     for joint, _, shift, _ in freedoms:
         ends = [joint, *skeleton.children(joint)]
         lever = 1.0 if shift else max(longest[joint], 0.1 * longest[0])
-        columns.append(usual[:, ends].max(axis=1) / lever)
+        own = usual[:, ends].max(axis=1) / lever
+        columns.append(own if steadier is None else own * steadier[:, joint])
     return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.zeros((len(motion), 0))
 
 

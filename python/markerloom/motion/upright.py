@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from markerloom.errors import InputError
 from markerloom.motion.body import SIDES, Body
 from markerloom.motion.rotations import about_vertical
-from markerloom.skeleton.motion import Motion
-from markerloom.skeleton.skeleton import Skeleton
+from markerloom.skeleton.motion import Motion, with_rest
 
 Array = NDArray[np.floating[Any]]
 UPRIGHT = 0.7
@@ -62,7 +61,7 @@ def standing_rest(motion: Motion, body: Body) -> Array:
         toe = body.parts.get(f"{side}_toes", foot)
         height = place[:, foot, 2] + place[:, toe, 2]
         flat = int(np.argmin(height))
-        below = [j for j in range(len(motion.skeleton)) if _hangs(motion.skeleton, j, foot)]
+        below = [j for j in range(len(motion.skeleton)) if foot in (j, *motion.skeleton.above(j))]
         rest[below] = _faced(turn[flat], place[flat], body)[below]
     return rest
 
@@ -78,9 +77,12 @@ def _faced(turn: Array, place: Array, body: Body) -> Array:
     return about_vertical(-np.arctan2(left[1], left[0])) @ turn
 
 
-def _hangs(skeleton: Skeleton, joint: int, top: int) -> bool:
-    while joint >= 0:
-        if joint == top:
-            return True
-        joint = skeleton.parents[joint]
-    return False
+def standing(motion: Motion, body: Body, shown: Motion) -> tuple[Motion, Body, Array | None]:
+    """A motion told against a rest pose that somebody stands in, found in ``shown`` where its own is none; and that
+    pose, if it had to be found.
+    """
+    if stands(body):
+        return motion, body, None
+    rest = standing_rest(shown, body)
+    other = with_rest(motion, rest)
+    return other, Body(other.skeleton, body.parts, body.spine, body.neck), rest

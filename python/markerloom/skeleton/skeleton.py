@@ -88,6 +88,13 @@ class Skeleton:
         """The joints that hang from one."""
         return [j for j, p in enumerate(self.parents) if p == joint]
 
+    def above(self, joint: int) -> list[int]:
+        """The joints that one hangs from, the nearest first, the root last."""
+        way: list[int] = []
+        while (joint := self.parents[joint]) >= 0:
+            way.append(joint)
+        return way
+
     def bone_lengths_m(self) -> Array:
         """The distance of every joint from its parent (m)."""
         return np.linalg.norm(self.offsets_m, axis=1)
