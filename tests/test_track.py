@@ -59,6 +59,19 @@ def test_noisy_markers_near_each_other_are_not_exchanged_for_ever(causal: bool) 
     assert result["ghosts_per_frame"] <= 0.02
 
 
+def test_a_dot_that_another_marker_took_is_taken_back() -> None:
+    # At 1 px and with drop-outs, a marker that goes out of a camera's sight takes the dot of one beside it, which then
+    # has one dot left and is not measured. Without taking back, 0.0375 markers per frame are missing here.
+    take = ml.simulate(
+        ml.make_scene("walk", frames=400, markers=33, sigma_px=1.0, hide="0.05", clutter_per_frame=0.2, seed=4)
+    )
+    truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
+    result = ml.evaluate(ml.track(take.observations, take.rig, causal=True), truth, tolerance_mm=25)
+    assert result["missing_per_frame"] <= 0.03
+    assert result["id_switches"] == 0
+    assert result["ghosts_per_frame"] == 0
+
+
 def test_a_dance_keeps_its_identities() -> None:
     take = ml.simulate(ml.make_scene("dance", frames=1000, markers=33, sigma_px=0.3, seed=0))
     truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)

@@ -139,6 +139,17 @@ impl Crowd {
         }
     }
 
+    /// Markers learn which cameras see them; `usual`: the part of all cameras that see a marker usually.
+    pub fn watch(&mut self, frame: &Frame, usual: f64) {
+        let interval_s = self.clock.interval_s();
+        for marker in &mut self.markers {
+            let mut visibility = std::mem::take(&mut marker.visibility);
+            visibility.take_in(|camera| marker.has_dot_of(camera, frame), frame.by_camera.len(), usual);
+            visibility.predict(interval_s, usual);
+            marker.visibility = visibility;
+        }
+    }
+
     /// A new marker.
     pub fn give_birth(&mut self, found: (Located, Motion), confidence: f64, confirmed: bool) {
         let slot = self.slots.iter().position(|used| !used).unwrap_or(self.slots.len());

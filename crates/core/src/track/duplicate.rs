@@ -22,6 +22,11 @@ const ENOUGH: i32 = 6;
 const UNDONE: i32 = 3;
 
 impl Crowd {
+    /// Whether a trajectory may follow another one's marker.
+    pub fn is_suspected(&self, track: u32) -> bool {
+        self.suspected.keys().any(|pair| pair.0 == track || pair.1 == track)
+    }
+
     /// Gives up trajectories that follow another one's marker.
     pub fn drop_duplicates(&mut self, frame: &Frame) {
         let mut order: Vec<usize> = (0..self.markers.len()).filter(|&i| self.markers[i].own_dots() > 0).collect();

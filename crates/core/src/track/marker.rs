@@ -6,6 +6,7 @@ use super::flow::Motion;
 use super::frame::Frame;
 use super::locate::{Located, posterior};
 use super::view::Prior;
+use super::visibility::Visibility;
 use super::{Kind, Sample};
 use nalgebra::{Matrix3, Vector3};
 
@@ -60,6 +61,8 @@ pub struct Marker {
     pub located: Option<Located>,
     /// The identity that it told, if it is an active marker.
     pub hardware: Option<u32>,
+    /// Which cameras see it.
+    pub visibility: Visibility,
     acceleration: f64,
     /// Time of the last frame in which it was measured (s), and whether that was the last frame.
     seen_s: f64,
@@ -100,6 +103,7 @@ impl Marker {
                 motion,
             },
             hardware: None,
+            visibility: Visibility::default(),
             acceleration: FIRST_ACCELERATION,
             seen_s: time_s,
             live: true,

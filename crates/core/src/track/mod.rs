@@ -3,7 +3,8 @@
 //! A frame goes through these stages ([`Tracker::push`]):
 //! 1. **predict** (`filter.rs`; hidden markers also from their neighbours, `body/`);
 //! 2. **confirm**: per camera, dots are assigned to the predictions (`view.rs`); per marker, its dots must meet in one
-//!    point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for;
+//!    point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for. A marker that a camera
+//!    saw before takes its dot back from one that it did not (`reclaim.rs`);
 //! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
 //! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
 //!    markers first (`rematch.rs`; §5.2's global re-matching), what is left may be born;
@@ -26,10 +27,12 @@ mod locate;
 mod marker;
 pub mod paper;
 pub mod points;
+mod reclaim;
 mod rematch;
 pub mod repair;
 mod share;
 mod view;
+mod visibility;
 
 pub use clock::{Moment, TimeError};
 pub use flow::{Shot, at_moments};
@@ -274,6 +277,7 @@ impl Tracker {
         self.assign(&mut frame, |m| !m.confirmed);
         self.give_back(&mut frame);
         self.regate(&mut frame);
+        self.reclaim(&mut frame);
         self.share(&mut frame);
         let searched = self.fall_back(&frame);
         let groups = self.rematch(&mut frame, &searched);
@@ -283,6 +287,7 @@ impl Tracker {
         }
         self.crowd.exchange();
         self.crowd.settle();
+        self.crowd.watch(&frame, self.scene.model.detection);
         self.crowd.drop_duplicates(&frame);
         self.give_birth(&frame, &groups);
         self.crowd.hear(&frame);

@@ -135,6 +135,18 @@ impl Mixture {
     }
 }
 
+/// Squared innovation of a dot (standard deviations) with room for a push; `None` outside the gate.
+pub fn innovation(scene: &Scene, frame: &Frame, dot: u32, prior: &Prior) -> Option<f64> {
+    let sight = frame.sight(dot);
+    let lag_s = frame.lag_s(sight.camera);
+    let (pixel, by_point) = scene.rig.cameras[sight.camera].project_linear(&prior.after(lag_s))?;
+    let spread = prior.covariance_after(lag_s) + Matrix3::identity() * prior.push;
+    let noise = Matrix2::identity() * (sight.sigma_px * sight.sigma_px);
+    let own = by_point * spread * by_point.transpose() + noise;
+    let squared = Density::new(&own, 0.0).squared(&(frame.pixel(dot) - pixel));
+    (squared <= GATE).then_some(squared)
+}
+
 /// A dot that may be a marker's, with the gain of believing so (nats).
 #[derive(Clone, Copy)]
 struct Edge {

@@ -6,7 +6,7 @@
 use super::super::filter::{Filter, Step};
 use super::super::flow::Motion;
 use super::super::frame::Frame;
-use super::super::locate::{LocateGates, locate};
+use super::super::locate::{LocateGates, Located, locate};
 use super::super::view::{Prior, match_cameras};
 use super::super::{Kind, Sample, Shot, Tracked};
 use crate::correspond::scene::Scene;
@@ -136,21 +136,35 @@ fn search(
             Some(Prior { point, covariance, push: jump, hidden: false, hardware: None, must_tell: false, motion })
         })
         .collect();
-    let mut found = vec![Vec::new(); priors.len()];
-    match_cameras(scene, &frame, &priors, |_, _| true).iter().for_each(|&(who, dot)| found[who].push(dot));
+    let mut found = found_on_free_dots(scene, gates, &frame, &priors).into_iter().peekable();
     let mut samples = Vec::new();
-    for ((track, runner), (mut dots, prior)) in runners.iter_mut().zip(found.into_iter().zip(priors)) {
-        dots.sort_unstable();
-        let Some(prior) = prior.filter(|_| dots.len() >= 2) else { continue };
-        let Some(located) = locate(scene, gates, &frame, &dots, &prior).filter(|l| l.dots.len() >= 2) else {
-            continue;
-        };
-        let Some(sample) = located.sample(&frame, *track, &prior, runner.confidence) else { continue };
+    for (k, ((track, runner), prior)) in runners.iter_mut().zip(&priors).enumerate() {
+        let Some((_, located)) = found.next_if(|(who, _)| *who == k) else { continue };
+        let sample = prior.as_ref().and_then(|p| located.sample(&frame, *track, p, runner.confidence));
+        let Some(sample) = sample else { continue };
         runner.filter.update(sample.point, &sample.covariance);
         runner.last = index;
         samples.push(sample);
     }
     samples
+}
+
+/// Where markers are found by two free dots or more, with their index, in ascending order.
+pub(super) fn found_on_free_dots(
+    scene: &Scene,
+    gates: &LocateGates,
+    frame: &Frame,
+    priors: &[Option<Prior>],
+) -> Vec<(usize, Located)> {
+    let mut found = vec![Vec::new(); priors.len()];
+    match_cameras(scene, frame, priors, |_, _| true).iter().for_each(|&(who, dot)| found[who].push(dot));
+    let located = |(who, mut dots): (usize, Vec<u32>)| {
+        dots.sort_unstable();
+        let prior = priors[who].as_ref().filter(|_| dots.len() >= 2)?;
+        let located = locate(scene, gates, frame, &dots, prior).filter(|l| l.dots.len() >= 2)?;
+        Some((who, located))
+    };
+    found.into_iter().enumerate().filter_map(located).collect()
 }
 
 fn insert(frame: &mut Tracked, found: Vec<Sample>) {

@@ -7,7 +7,8 @@
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
 //!    What active markers told of themselves stands above all that (`told`).
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
-//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap.
+//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
+//!    (`regain`).
 
 pub mod carry;
 mod confusion;
@@ -15,17 +16,19 @@ mod exchange;
 pub mod extend;
 pub mod join;
 pub mod joints;
+mod regain;
 mod relabel;
 mod told;
 pub mod tracklets;
 mod twins;
 
-use super::{Sample, Shot, TrackOptions, Tracked};
+use super::{Kind, Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
 use carry::carry;
 use confusion::untangle;
 use extend::extend;
 use join::{Chain, join};
+use regain::regain;
 use told::follow_told;
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
 use twins::without_twins;
@@ -42,6 +45,10 @@ pub fn repair(
     let mut repaired = identify(frames, times_s, TORN, Some(shots));
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+    if regain(scenes, shots, times_s, &mut repaired) {
+        repaired.iter_mut().for_each(|f| f.samples.retain(|s| s.kind == Kind::Measured));
+        carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+    }
     repaired
 }
 
