@@ -28,6 +28,15 @@ def sharpest(report: dict[str, list[dict[str, float]]]) -> float:
     return max(j["sharpness"] for j in report["joins"])
 
 
+def test_a_fade_that_needs_room_is_where_there_is_room() -> None:
+    # Over 0.4 s these walks are most alike at the end of the first, where no longer fade fits.
+    out = ml.motion.blend(walk(), walk(4.0, step_m=0.35, period_s=1.4))
+    (join,) = out.report["joins"]
+    assert join["sharpness"] <= 1.3
+    assert join["to"] - join["from"] > 24
+    assert out.report["leave"] == join["from"]
+
+
 def test_likeness_does_not_see_place_and_heading(clips: list[Motion]) -> None:
     a = clips[0]
     moved = laid(a, 2.0, (5.0, -3.0))

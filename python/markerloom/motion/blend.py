@@ -222,23 +222,35 @@ def out_of(until: int, frames: int) -> Array:
     return np.where(np.arange(frames) < until, np.arange(frames, dtype=float), np.nan)
 
 
-def best_interval(a: Motion, b: Motion, length: int, measure: str = "cloud") -> tuple[int, int, float]:
-    """Where two clips are most alike over ``length`` frames: first frame in each, and their mean distance there.
+class Likeness:
+    """How alike two clips are over intervals of any length (m, the mean distance of their frames)."""
 
-    The first is left in its last half, the next entered in its first half.
-    """
-    if measure not in MEASURES:
-        raise InputError(f"likeness is measured by {' or '.join(MEASURES)}, not '{measure}'")
-    low = int(len(a) * LATEST)
-    high = max(int(len(b) * (1.0 - LATEST)), 1)
-    if len(a) < length + 1 or len(b) < length + 1:
-        raise InputError(f"clips of {len(a)} and {len(b)} frames are too short to fade over {length} frames")
-    table = distances(a, b, measure)
-    starts = range(min(low, len(a) - length), len(a) - length + 1)
-    enters = range(min(high, len(b) - length) + 1)
-    sums = np.stack([[np.trace(table[i : i + length, j : j + length]) for j in enters] for i in starts]) / length
-    i, j = np.unravel_index(int(np.argmin(sums)), sums.shape)
-    return starts[int(i)], enters[int(j)], float(sums[i, j])
+    def __init__(self, a: Motion, b: Motion, measure: str = "cloud") -> None:
+        """Compare all frames of one with all of the other."""
+        if measure not in MEASURES:
+            raise InputError(f"likeness is measured by {' or '.join(MEASURES)}, not '{measure}'")
+        table = distances(a, b, measure)
+        # Sums along diagonals, so that those of any interval are differences of two.
+        self.sums = np.zeros((len(a) + 1, len(b) + 1))
+        for i, row in enumerate(table):
+            self.sums[i + 1, 1:] = self.sums[i, :-1] + row
+
+    def over(self, leave: int, enter: int, length: int) -> float:
+        """From these frames on."""
+        return float((self.sums[leave + length, enter + length] - self.sums[leave, enter]) / length)
+
+    def best(self, length: int) -> tuple[int, int]:
+        """The first frames of the interval in which they are most alike: the first clip is left in its last half, the
+        next entered in its first half.
+        """
+        ours, theirs = len(self.sums) - 1, len(self.sums[0]) - 1
+        if min(ours, theirs) < length + 1:
+            raise InputError(f"clips of {ours} and {theirs} frames are too short to fade over {length} frames")
+        low = min(int(ours * LATEST), ours - length)
+        high = min(max(int(theirs * (1.0 - LATEST)), 1), theirs - length)
+        sums = self.sums[low + length :, length : high + length + 1] - self.sums[low : ours - length + 1, : high + 1]
+        i, j = np.unravel_index(int(np.argmin(sums)), sums.shape)
+        return low + int(i), int(j)
 
 
 def blend(
@@ -258,18 +270,26 @@ def blend(
     """
     same_skeleton(a, b, "these clips cannot be blended")
     length = _length(BLEND_S if length_s is None else length_s, a.rate_hz)
-    if leave is None or enter is None:
-        at, into, _ = best_interval(a, b, length, measure)
-        leave, enter = at if leave is None else leave, into if enter is None else enter
-    if not 0 <= leave <= len(a) - length or not 0 <= enter <= len(b) - length:
+    alike = Likeness(a, b, measure)
+
+    def where(frames: int) -> tuple[int, int]:
+        best = alike.best(frames) if leave is None or enter is None else (0, 0)
+        return best[0] if leave is None else leave, best[1] if enter is None else enter
+
+    at, into = where(length)
+    if not 0 <= at <= len(a) - length or not 0 <= into <= len(b) - length:
         raise InputError(
-            f"a fade of {length} frames from frame {leave} to {enter} is not in clips of {len(a)} and {len(b)} frames"
+            f"a fade of {length} frames from frame {at} to {into} is not in clips of {len(a)} and {len(b)} frames"
         )
-    longest = length if length_s is not None else min(len(a) - leave, len(b) - enter, round(LONGEST_S * a.rate_hz))
-    away = float(np.mean(distances(a, b, measure)[np.arange(leave, leave + length), np.arange(enter, enter + length)]))
-    done = calmly_joined(begun(a), b, length, lambda _: (leave, enter), longest)
+    # A longer fade may be another interval, where there is room for it.
+    room = min(len(a) - (leave or 0), len(b) - (enter or 0)) - 1
+    longest = length if length_s is not None else max(length, min(room, round(LONGEST_S * a.rate_hz)))
+    done = calmly_joined(begun(a), b, length, where, longest)
+    start, stop = done.joins[-1]
+    into = where(stop - start)[1]
     out = finished(done, hold_feet=hold_feet)
-    return Edited(out.motion, {"leave": leave, "enter": enter, "distance": away, **out.report})
+    told = {"leave": start, "enter": into, "distance": alike.over(start, into, stop - start)}
+    return Edited(out.motion, {**told, **out.report})
 
 
 def _length(length_s: float, rate_hz: float) -> int:
