@@ -41,6 +41,8 @@ CLIPS = (
     "bvh/test_mocapbank.bvh",
     "bvh/mobu-rom.bvh",
 )
+UNSEEN = ("asf-amc/01_01.amc", "asf-amc/171025_Guy_ROM_body_01_blade.bvh")
+"""Clips that no constant of retargeting was chosen on."""
 PATIENCE_S = 240
 """Other programs are waited for so long."""
 BODIES = ("bvh/test_freebvh.bvh", "bvh/test_mocapbank.bvh", "asf-amc/01.asf", "hanim-loa1", "hanim-loa2")
@@ -128,6 +130,13 @@ def sharp(out: Motion, source: Motion) -> np.ndarray:
     return own[:, sorted(pairs)]
 
 
+def on_another_body(name: str, label: str, body: Callable[[Motion], Skeleton]) -> tuple[Motion, ml.motion.Edited]:
+    """A clip, and what it becomes on another body."""
+    motion = clip(name)
+    shown = replace(motion, skeleton=body(motion)) if label.startswith("limbs") else None
+    return motion, ml.motion.retarget(motion, body(motion), target_motion=shown)
+
+
 def retarget() -> None:
     """Every clip on limbs of other lengths and on other bodies."""
     names = [*CLIPS, "simulated walk"]
@@ -137,11 +146,9 @@ def retarget() -> None:
         *((short(b), lambda _, b=b: ml.read_skeleton(b if b.startswith("hanim") else DATA / b)) for b in BODIES),
     ]
     for label, body in targets:
-        slide, floor, missed, sharpest, over, samples, most = 0.0, 0.0, 0.0, [], 0, 0, 0.0
+        slide, floor, missed, sharpest, over, samples, most, calmed = 0.0, 0.0, 0.0, [], 0, 0, 0.0, {}
         for name in names:
-            motion = clip(name)
-            shown = replace(motion, skeleton=body(motion)) if label.startswith("limbs") else None
-            out = ml.motion.retarget(motion, body(motion), target_motion=shown)
+            motion, out = on_another_body(name, label, body)
             if "plants" not in out.report:
                 continue
             own = sharp(out.motion, motion)
@@ -150,13 +157,18 @@ def retarget() -> None:
             slide, floor = max(slide, out.report["slide_mm"]), max(floor, out.report["in_floor_mm"])
             missed = max(missed, *out.report["missed_mm"].values())
             most = max(most, out.report["leg_stretch"])
+            calmed[short(name)] = out.report["calmed_mm"]["max"]
         within = sum(s <= 1.5 for s in sharpest)
         print(
             f"retarget to {label}, {len(sharpest)} clips: slide {slide:.3f} mm, floor {floor:.3f} mm, constraints "
             f"{missed:.3f} mm, leg stretch {most:.0f} %; acceleration {np.median(sharpest):.2f} x the source's in the "
             f"median clip, {max(sharpest):.2f} x in the worst, within 1.5 x in {within} of {len(sharpest)} clips and "
-            f"{100 * (1 - over / samples):.2f} % of samples"
+            f"{100 * (1 - over / samples):.2f} % of samples; smoothed by up to "
+            + ", ".join(f"{mm:.0f} mm ({name})" for name, mm in sorted(calmed.items(), key=lambda c: -c[1])[:2])
         )
+        unseen = [on_another_body(name, label, body) for name in UNSEEN]
+        others = [float(sharp(out.motion, motion).max()) for motion, out in unseen if "plants" in out.report]
+        print("  clips that no constant was chosen on: " + ", ".join(f"{w:.2f} x" for w in others))
     worst = max(
         float(np.abs(ml.motion.retarget(clip(n), clip(n).skeleton).motion.turns - clip(n).turns).max()) for n in names
     )

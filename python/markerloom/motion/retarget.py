@@ -26,6 +26,7 @@ from markerloom.motion.looks import lines, meeting
 from markerloom.motion.mapping import Mapping, followed, guess, indices, with_parts
 from markerloom.motion.rotations import about_vertical
 from markerloom.motion.spacetime import (
+    CALM,
     NOWHERE,
     Freedom,
     Goal,
@@ -45,8 +46,6 @@ from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
 SAME_M = 1e-9
-CALM = 1.4
-"""Joints may be so many times as sharp as their fellows before feet are held."""
 FLAT_PARTS = ("pelvis", "head", "left_foot", "right_foot", "left_toes", "right_toes")
 """Parts that only follow the heading of the source's rest pose: a foot of another shape stands flat, too."""
 NEXT = {
@@ -124,12 +123,10 @@ class _Problem:
 
     def _allowed(self) -> Array:
         """How sharp joints may be (frames, joints; m/s²): as their fellows; those that follow none as they like."""
-        out = bounds(self._origin(), len(self.source), followed(self.target, self.pairs))
+        frames = np.arange(len(self.source), dtype=float)
+        out = bounds([(self.source, frames)], len(frames), followed(self.target, self.pairs))
         out[:, [j for j in range(len(self.target)) if j not in self.pairs]] = np.inf
         return out
-
-    def _origin(self) -> list[tuple[Motion, Array]]:
-        return [(self.source, np.arange(len(self.source), dtype=float))]
 
     def _heights(self) -> dict[str, float]:
         """How high above the floor each place of the target's feet is while it stands (m)."""

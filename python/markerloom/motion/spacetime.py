@@ -27,7 +27,8 @@ SHARP = 0.5
 """A change is sharp where it adds this part of the acceleration that a joint has there anyway."""
 LEAST_SHARP_M_PER_S2 = 0.3
 SHARPEST, CALM = 1.45, 1.4
-"""Where joints are sharper than allowed by the first, all that are by more than the second get calmer."""
+"""Where joints are sharper than allowed by the first, all that are by more than the second get calmer; before anything
+is held, none is by more than the second."""
 STEADIER_ROUNDS, STEADIER, MET_M = 3, 0.6, 1e-4
 """So often a change has to ease in by so much more slowly, while goals are met so well (m)."""
 WINDOW, OVERLAP_S = 1500, 1.0
