@@ -253,7 +253,8 @@ fn length_of(correlation: f64, spacing_s: f64) -> f64 {
     spacing_s / low
 }
 
-fn centered(points: &[Vector3<f64>]) -> (Vector3<f64>, Vec<Vector3<f64>>) {
+/// The centroid of points, and the points from there.
+pub fn centered(points: &[Vector3<f64>]) -> (Vector3<f64>, Vec<Vector3<f64>>) {
     let center = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
     (center, points.iter().map(|p| p - center).collect())
 }

@@ -4,13 +4,17 @@
 //! neighbours do (`body/regression.rs`, with the whole take as history). If both are measured, an exchange turns the
 //! vector between them round; if one is, it is nearer to the one's place or the other's. Which of them is which changes
 //! rarely, and is found for all frames at once (Viterbi 1967): a change costs what motion says against it.
+//!
+//! A history in which they are exchanged half of the time expects both of them half-way. Then it is turned first: in the
+//! frame of the neighbours the vector between them lies along one line, and all that point against it are turned round.
 
 use super::super::Tracked;
 use super::super::body::Snapshot;
 use super::super::body::links::Links;
-use super::super::body::regression::{Fit, NEIGHBOURS};
+use super::super::body::regression::{Fit, NEIGHBOURS, centered};
+use super::super::body::rotation::align;
 use super::carry::{learned_links, snapshots, spread, tracks_of};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -81,6 +85,13 @@ struct Take<'a> {
     slots: usize,
 }
 
+/// What is taken for the two markers' places in the past.
+#[derive(Clone, Copy, PartialEq)]
+enum History {
+    AsItIs,
+    Turned,
+}
+
 /// What one frame says: places of the two markers, and where they should be by their neighbours.
 #[derive(Clone, Copy, Default)]
 struct Look {
@@ -107,8 +118,11 @@ impl<'a> Take<'a> {
 
     /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
     fn changed(&self, pair: [usize; 2]) -> Option<(f64, Vec<bool>)> {
-        let looks = self.looks(pair);
-        let errors = errors(&looks)?;
+        let told = [History::AsItIs, History::Turned].into_iter().find_map(|history| {
+            let looks = self.looks(pair, history);
+            errors(&looks).map(|errors| (looks, errors))
+        });
+        let (looks, errors) = told?;
         // Evidence for "as they are" and "exchanged", and for each frame whether the frame before was exchanged.
         let (mut ways, mut from): ([f64; 2], Vec<[bool; 2]>) = ([0.0; 2], Vec::new());
         let mut as_is = 0.0;
@@ -136,7 +150,7 @@ impl<'a> Take<'a> {
         (some && gain > WORTH_CHANGING).then_some((gain, changed))
     }
 
-    fn looks(&self, pair: [usize; 2]) -> Vec<Look> {
+    fn looks(&self, pair: [usize; 2], way: History) -> Vec<Look> {
         let mut count: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
         for now in self.places.iter().filter(|s| pair.iter().any(|&p| s[p].is_some())) {
             *count.entry(self.neighbours(pair, now)).or_default() += 1;
@@ -145,7 +159,7 @@ impl<'a> Take<'a> {
         sets.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
         sets.truncate(FRAMES_OF_REFERENCE);
         let history = spread(&self.places);
-        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|(_, set)| self.fits(pair, set, &history)).collect();
+        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|(_, set)| self.fits(pair, set, &history, way)).collect();
         let look = |now: &Snapshot| {
             let fit = fits.iter_mut().find(|f| f[0].can_use(now));
             let expected = fit.and_then(|[a, b]| Some([a.predict(now, 0.0)?.point, b.predict(now, 0.0)?.point]));
@@ -161,7 +175,9 @@ impl<'a> Take<'a> {
         self.links.frame_of(pair[0], &others, NEIGHBOURS)
     }
 
-    fn fits(&self, pair: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Option<[Fit; 2]> {
+    fn fits(&self, pair: [usize; 2], neighbours: &[usize], history: &[&Snapshot], way: History) -> Option<[Fit; 2]> {
+        let turned = (way == History::Turned).then(|| turned(pair, neighbours, history));
+        let history: &[&Snapshot] = &turned.as_ref().map_or(history.to_vec(), |t| t.iter().collect());
         let reference = history.iter().find(|s| neighbours.iter().all(|&n| s[n].is_some()))?;
         // What the markers were off at some moment long ago is forgotten.
         let long_ago = [(-1e9, (*reference).clone())];
@@ -169,6 +185,35 @@ impl<'a> Take<'a> {
         let fit = |slot: usize| Fit::new(slot, neighbours, history, &long_ago, spacing_s);
         Some([fit(pair[0])?, fit(pair[1])?])
     }
+}
+
+/// The snapshots that hold both markers and their neighbours, each pair so that the vector between them points the way that
+/// most of them do in the neighbours' frame.
+fn turned([a, b]: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Vec<Snapshot> {
+    let weights = vec![1.0; neighbours.len()];
+    let mut reference: Option<Vec<Vector3<f64>>> = None;
+    let mut rotation = Rotation3::identity();
+    let mut found: Vec<(&Snapshot, Vector3<f64>)> = Vec::new();
+    for &snapshot in history {
+        let points: Option<Vec<Vector3<f64>>> = neighbours.iter().map(|&n| snapshot[n]).collect();
+        let (Some(p), Some(q), Some(points)) = (snapshot[a], snapshot[b], points) else { continue };
+        let (_, points) = centered(&points);
+        rotation = align(&points, reference.get_or_insert_with(|| points.clone()), &weights, rotation);
+        found.push((snapshot, rotation * (q - p)));
+    }
+    let moments: Matrix3<f64> = found.iter().map(|(_, v)| v * v.transpose()).sum();
+    let eigen = moments.symmetric_eigen();
+    let line = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+    let along = found.iter().filter(|(_, v)| v.dot(&line) > 0.0).count();
+    let line = if 2 * along >= found.len() { line } else { -line };
+    let turn = |(snapshot, v): (&Snapshot, Vector3<f64>)| {
+        let mut turned = snapshot.clone();
+        if v.dot(&line) < 0.0 {
+            turned.swap(a, b);
+        }
+        turned
+    };
+    found.into_iter().map(turn).collect()
 }
 
 /// Median squared errors (m²): of the one's place, of the other's, of the vector between them whichever way it points.
@@ -281,6 +326,20 @@ mod tests {
             let whole: Vec<(u32, Vector3<f64>)> = frame.samples.iter().map(|s| (s.track, s.point)).collect();
             assert!(seen_as(f).iter().all(|s| whole.contains(s)), "frame {f}");
         }
+    }
+
+    #[test]
+    fn near_markers_that_were_exchanged_half_of_the_time_are_told_apart() {
+        let (mut truth, times_s) = take(400);
+        // Both are hidden before each exchange: only their neighbours tell.
+        let hidden = |f: usize, track: u32| f % 40 < 10 && track >= 4;
+        truth.iter_mut().enumerate().for_each(|(f, frame)| frame.samples.retain(|s| !hidden(f, s.track)));
+        let mut frames = truth.clone();
+        exchange(&mut frames, [4, 5], &(0..400).map(|f| (f / 40) % 2 == 1).collect::<Vec<bool>>());
+        untangle(&mut frames, &times_s);
+        let (right, mut round) = (points(&truth), truth.clone());
+        exchange(&mut round, [4, 5], &[true; 400]);
+        assert!(points(&frames) == right || points(&frames) == points(&round));
     }
 
     #[test]
