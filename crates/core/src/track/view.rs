@@ -11,7 +11,7 @@ use super::frame::Frame;
 use crate::assignment::assign;
 use crate::camera::Camera;
 use crate::correspond::scene::Scene;
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -83,32 +83,48 @@ const WORTH_SHARING: usize = 4000;
 /// Dots that are counted one by one instead of halving on.
 const COUNTED: usize = 32;
 
+/// A symmetric matrix of two rows: xx, xy, yy.
+type Symmetric = [f64; 3];
+
+/// J C Jᵀ.
+fn seen_by(by_point: &Matrix2x3<f64>, covariance: &Matrix3<f64>) -> Symmetric {
+    let turned = by_point * covariance;
+    let dot = |i: usize, j: usize| {
+        turned[(i, 0)] * by_point[(j, 0)] + turned[(i, 1)] * by_point[(j, 1)] + turned[(i, 2)] * by_point[(j, 2)]
+    };
+    [dot(0, 0), dot(0, 1), dot(1, 1)]
+}
+
 /// A predicted marker in one camera.
 struct View {
     who: usize,
     pixel: Vector2<f64>,
     /// Covariance of the projection (px²): own, and what a push adds.
-    own: Matrix2<f64>,
-    push: Matrix2<f64>,
+    own: Symmetric,
+    push: Symmetric,
 }
 
 /// A centred normal density in the image, ready to be evaluated.
 #[derive(Clone, Copy)]
 struct Density {
-    inverse: [f64; 3],
-    ln_peak: f64,
+    inverse: Symmetric,
+    determinant: f64,
 }
 
 impl Density {
-    fn new(s: &Matrix2<f64>, weight: f64) -> Self {
-        let determinant = (s[(0, 0)] * s[(1, 1)] - s[(0, 1)] * s[(0, 1)]).max(1e-300);
-        let inverse = [s[(1, 1)] / determinant, -s[(0, 1)] / determinant, s[(0, 0)] / determinant];
-        Self { inverse, ln_peak: weight - 0.5 * determinant.ln() - std::f64::consts::TAU.ln() }
+    fn new([xx, xy, yy]: Symmetric) -> Self {
+        let determinant = (xx * yy - xy * xy).max(1e-300);
+        Self { inverse: [yy / determinant, -xy / determinant, xx / determinant], determinant }
     }
 
     fn squared(&self, v: &Vector2<f64>) -> f64 {
         let [a, b, c] = self.inverse;
         a * v.x * v.x + 2.0 * b * v.x * v.y + c * v.y * v.y
+    }
+
+    /// Logarithm of the density at a squared distance, with the logarithm of a weight.
+    fn ln(&self, weight: f64, squared: f64) -> f64 {
+        weight - 0.5 * self.determinant.ln() - std::f64::consts::TAU.ln() - 0.5 * squared
     }
 }
 
@@ -122,16 +138,20 @@ struct Mixture {
 
 impl Mixture {
     fn new(view: &View, sigma_px: f64) -> Self {
-        let own = view.own + Matrix2::identity() * (sigma_px * sigma_px);
-        let (calm, pushed) = (Density::new(&own, LN_NOT_PUSHED), Density::new(&(own + view.push), LN_PUSHED));
-        Self { sigma_px, calm, pushed }
+        let variance = sigma_px * sigma_px;
+        let own = [view.own[0] + variance, view.own[1], view.own[2] + variance];
+        let wide = [own[0] + view.push[0], own[1] + view.push[1], own[2] + view.push[2]];
+        Self { sigma_px, calm: Density::new(own), pushed: Density::new(wide) }
     }
 
     /// Logarithm of the larger component; `None` outside the gate.
     fn ln(&self, offset: &Vector2<f64>) -> Option<f64> {
         let pushed = self.pushed.squared(offset);
-        let calm = self.calm.ln_peak - 0.5 * self.calm.squared(offset);
-        (pushed <= GATE).then(|| calm.max(self.pushed.ln_peak - 0.5 * pushed))
+        if pushed > GATE {
+            return None;
+        }
+        let calm = self.calm.ln(LN_NOT_PUSHED, self.calm.squared(offset));
+        Some(calm.max(self.pushed.ln(LN_PUSHED, pushed)))
     }
 }
 
@@ -141,13 +161,13 @@ pub fn innovation(scene: &Scene, frame: &Frame, dot: u32, prior: &Prior) -> Opti
     let lag_s = frame.lag_s(sight.camera);
     let (pixel, by_point) = scene.rig.cameras[sight.camera].project_linear(&prior.after(lag_s))?;
     let spread = prior.covariance_after(lag_s) + Matrix3::identity() * prior.push;
-    let noise = Matrix2::identity() * (sight.sigma_px * sight.sigma_px);
-    let own = by_point * spread * by_point.transpose() + noise;
-    let squared = Density::new(&own, 0.0).squared(&(frame.pixel(dot) - pixel));
+    let [xx, xy, yy] = seen_by(&by_point, &spread);
+    let variance = sight.sigma_px * sight.sigma_px;
+    let squared = Density::new([xx + variance, xy, yy + variance]).squared(&(frame.pixel(dot) - pixel));
     (squared <= GATE).then_some(squared)
 }
 
-/// A dot that may be a marker's, with the gain of believing so (nats).
+/// A dot (by its number among the free ones) that may be a marker's, with the gain of believing so (nats).
 #[derive(Clone, Copy)]
 struct Edge {
     who: usize,
@@ -164,7 +184,8 @@ pub fn match_cameras(
     wanted: impl Fn(usize, usize) -> bool + Sync,
 ) -> Vec<(usize, u32)> {
     let cameras = scene.rig.cameras.len();
-    let one = |camera: usize| match_camera(scene, frame, camera, priors, |who| wanted(camera, who));
+    let known = Known::of(priors);
+    let one = |camera: usize| match_camera(scene, frame, camera, priors, &known, |who| wanted(camera, who));
     if cameras * priors.len() < WORTH_SHARING {
         return (0..cameras).flat_map(one).collect();
     }
@@ -179,6 +200,7 @@ fn match_camera(
     frame: &Frame,
     camera: usize,
     priors: &[Option<Prior>],
+    known: &Known,
     wanted: impl Fn(usize) -> bool,
 ) -> Vec<(usize, u32)> {
     let free = Free::of(frame, camera);
@@ -188,14 +210,13 @@ fn match_camera(
     let detection = scene.model.detection;
     let base = (detection / (1.0 - detection)).ln();
     let mut edges = Vec::with_capacity(2 * free.dots.len());
-    let known = Known::of(priors);
     for (who, prior) in priors.iter().enumerate() {
         let Some(prior) = prior.as_ref().filter(|_| wanted(who)) else { continue };
         if let Some((view, near)) = free.near(&scene.rig.cameras[camera], frame.lag_s(camera), who, prior) {
             free.add_edges(&view, base, near, |told| known.gain(prior, told), &mut edges);
         }
     }
-    best_pairs(edges)
+    best_pairs(edges).into_iter().map(|(who, at)| (who, free.dots[at as usize].dot)).collect()
 }
 
 /// Identities that markers are known to have told, in ascending order.
@@ -218,42 +239,49 @@ impl Known {
     }
 }
 
+/// A dot that nobody owns.
+struct FreeDot {
+    dot: u32,
+    pixel: Vector2<f64>,
+    sigma_px: f64,
+    hardware: Option<u32>,
+    /// Logarithm of the density (px⁻²) of dots there that belong to nothing known.
+    ln_alone: f64,
+}
+
 /// Free dots of one camera, by ascending x.
 struct Free {
-    dots: Vec<u32>,
+    dots: Vec<FreeDot>,
     x: Vec<f64>,
-    y: Vec<f64>,
-    sigma_px: Vec<f64>,
-    hardware: Vec<Option<u32>>,
-    /// Logarithm of the density (px⁻²) of dots there that belong to nothing known.
-    ln_alone: Vec<f64>,
     widest_sigma_px: f64,
 }
 
 impl Free {
     fn of(frame: &Frame, camera: usize) -> Self {
-        let dots: Vec<u32> = frame.by_camera[camera].iter().copied().filter(|&d| frame.free[d as usize]).collect();
-        let x = dots.iter().map(|&d| frame.pixel(d).x).collect();
-        let y = dots.iter().map(|&d| frame.pixel(d).y).collect();
-        let sigma_px = dots.iter().map(|&d| frame.sigma_px(d)).collect();
-        let ln_alone = dots.iter().map(|&d| frame.ln_alone[d as usize]).collect();
-        let hardware = dots.iter().map(|&d| frame.dots[d as usize].hardware).collect();
-        Self { dots, x, y, sigma_px, hardware, ln_alone, widest_sigma_px: frame.widest_sigma_px[camera] }
+        let one = |&dot: &u32| FreeDot {
+            dot,
+            pixel: frame.pixel(dot),
+            sigma_px: frame.sigma_px(dot),
+            hardware: frame.dots[dot as usize].hardware,
+            ln_alone: frame.ln_alone[dot as usize],
+        };
+        let dots: Vec<FreeDot> = frame.by_camera[camera].iter().filter(|&&d| frame.free[d as usize]).map(one).collect();
+        Self { x: dots.iter().map(|d| d.pixel.x).collect(), dots, widest_sigma_px: frame.widest_sigma_px[camera] }
     }
 
     /// A marker's view, and the dots that may be within its gate; `None` if there are none. Most hidden markers end here.
     fn near(&self, camera: &Camera, lag_s: f64, who: usize, prior: &Prior) -> Option<(View, Range<usize>)> {
         let (pixel, by_point) = camera.project_linear(&prior.after(lag_s))?;
-        let covariance = prior.covariance_after(lag_s);
+        let covariance = if lag_s == 0.0 { prior.covariance } else { prior.covariance_after(lag_s) };
         let variance = by_point.norm_squared() * (covariance.trace() + prior.push);
         let reach = (GATE * (variance + self.widest_sigma_px * self.widest_sigma_px)).sqrt();
         let first = self.left_of(pixel.x - reach);
         let last = first + self.x[first..].iter().take_while(|&&x| x <= pixel.x + reach).count();
-        if !self.y[first..last].iter().any(|y| (y - pixel.y).abs() <= reach) {
+        if !self.dots[first..last].iter().any(|d| (d.pixel.y - pixel.y).abs() <= reach) {
             return None;
         }
-        let own = by_point * covariance * by_point.transpose();
-        let push = by_point * by_point.transpose() * prior.push;
+        let own = seen_by(&by_point, &covariance);
+        let push = seen_by(&by_point, &Matrix3::identity()).map(|v| v * prior.push);
         Some((View { who, pixel, own, push }, first..last))
     }
 
@@ -267,15 +295,15 @@ impl Free {
     ) {
         let mut mixture = Mixture::new(view, self.widest_sigma_px);
         for at in near {
-            if self.sigma_px[at].to_bits() != mixture.sigma_px.to_bits() {
-                mixture = Mixture::new(view, self.sigma_px[at]);
+            let dot = &self.dots[at];
+            if dot.sigma_px.to_bits() != mixture.sigma_px.to_bits() {
+                mixture = Mixture::new(view, dot.sigma_px);
             }
-            let Some(trusted) = trust(self.hardware[at]) else { continue };
-            let offset = Vector2::new(self.x[at], self.y[at]) - view.pixel;
-            if let Some(gain) =
-                mixture.ln(&offset).map(|ln| base + trusted + ln - self.ln_alone[at]).filter(|g| *g > 0.0)
-            {
-                edges.push(Edge { who: view.who, dot: self.dots[at], gain });
+            let Some(trusted) = trust(dot.hardware) else { continue };
+            let Some(ln) = mixture.ln(&(dot.pixel - view.pixel)) else { continue };
+            let gain = base + trusted + ln - dot.ln_alone;
+            if gain > 0.0 {
+                edges.push(Edge { who: view.who, dot: at as u32, gain });
             }
         }
     }
@@ -317,6 +345,9 @@ fn best_pairs(mut edges: Vec<Edge>) -> Vec<(usize, u32)> {
     pairs
 }
 
+/// In place of the largest gain: that marker or dot has its own.
+const TAKEN: f64 = f64::INFINITY;
+
 /// The two largest gains around a marker or a dot.
 #[derive(Clone, Copy, Default)]
 struct Best {
@@ -345,22 +376,23 @@ fn take_sure(edges: &mut Vec<Edge>) -> Vec<(usize, u32)> {
     let markers = edges.iter().map(|e| e.who + 1).max().unwrap_or(0);
     let dots = edges.iter().map(|e| e.dot as usize + 1).max().unwrap_or(0);
     let mut pairs = Vec::with_capacity(edges.len());
+    let (mut of_marker, mut of_dot) = (vec![Best::default(); markers], vec![Best::default(); dots]);
     loop {
-        let (mut of_marker, mut of_dot) = (vec![Best::default(); markers], vec![Best::default(); dots]);
+        of_marker.fill(Best::default());
+        of_dot.fill(Best::default());
         for e in &*edges {
             of_marker[e.who].take_in(e.gain);
             of_dot[e.dot as usize].take_in(e.gain);
         }
         let sure = |e: &Edge| e.gain > of_marker[e.who].beside(e.gain) + of_dot[e.dot as usize].beside(e.gain);
-        let taken: Vec<(usize, u32)> = edges.iter().filter(|e| sure(e)).map(|e| (e.who, e.dot)).collect();
-        if taken.is_empty() {
-            return pairs;
+        let before = pairs.len();
+        pairs.extend(edges.iter().filter(|e| sure(e)).map(|e| (e.who, e.dot)));
+        // What is taken has no best any more.
+        for &(who, dot) in &pairs[before..] {
+            (of_marker[who].first, of_dot[dot as usize].first) = (TAKEN, TAKEN);
         }
-        let (mut marker_taken, mut dot_taken) = (vec![false; markers], vec![false; dots]);
-        taken.iter().for_each(|&(who, dot)| (marker_taken[who], dot_taken[dot as usize]) = (true, true));
-        edges.retain(|e| !marker_taken[e.who] && !dot_taken[e.dot as usize]);
-        pairs.extend(taken);
-        if edges.is_empty() {
+        edges.retain(|e| of_marker[e.who].first < TAKEN && of_dot[e.dot as usize].first < TAKEN);
+        if edges.is_empty() || pairs.len() == before {
             return pairs;
         }
     }

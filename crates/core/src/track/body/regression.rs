@@ -8,7 +8,7 @@
 
 use super::rotation::align;
 use super::{Carried, Snapshot};
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Rotation3, Vector3};
+use nalgebra::{Cholesky, Const, Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
 /// Neighbours at most.
 pub const NEIGHBOURS: usize = 5;
@@ -38,18 +38,24 @@ const LARGEST_LEVERAGE: f64 = 30.0;
 /// Error that never fades: measurement, skin (m).
 const LEAST_ERROR: f64 = 0.000_7;
 
+/// Features of a pose: how each neighbour departs from the reference; those of neighbours that there are not are 0.
+const WIDTH: usize = 3 * NEIGHBOURS;
+type Features = SVector<f64, WIDTH>;
+type OfFeatures = SMatrix<f64, WIDTH, WIDTH>;
+type PlaceByFeatures = SMatrix<f64, 3, WIDTH>;
+
 /// A fitted frame for one hidden marker.
 #[derive(Clone, Debug)]
 pub struct Fit {
     neighbours: Vec<usize>,
     reference: Vec<Vector3<f64>>,
     rotation: Rotation3<f64>,
-    mean_features: DVector<f64>,
+    mean_features: Features,
     mean_place: Vector3<f64>,
-    /// Place by features (3 × 3K); empty when rigid.
-    coefficients: Option<DMatrix<f64>>,
+    /// Place by features; none when rigid.
+    coefficients: Option<PlaceByFeatures>,
     /// Inverse of the features' ridged second moments: for the leverage of a pose.
-    inverse: Option<DMatrix<f64>>,
+    inverse: Option<OfFeatures>,
     /// Error per axis (m²) and its correlation length (s).
     variance: f64,
     length_s: f64,
@@ -60,7 +66,7 @@ pub struct Fit {
 
 /// Neighbours' departures and the marker's place in the local frame, for one snapshot.
 struct Sample {
-    features: DVector<f64>,
+    features: Features,
     place: Vector3<f64>,
 }
 
@@ -122,7 +128,7 @@ impl Fit {
         (spread(&reference) > SMALLEST_SPREAD).then(|| Self {
             neighbours: neighbours.to_vec(),
             rotation: Rotation3::identity(),
-            mean_features: DVector::zeros(3 * neighbours.len()),
+            mean_features: Features::zeros(),
             reference,
             mean_place: Vector3::zeros(),
             coefficients: None,
@@ -149,12 +155,16 @@ impl Fit {
         &self,
         now: &[Option<Vector3<f64>>],
         guess: Rotation3<f64>,
-    ) -> Option<(DVector<f64>, Rotation3<f64>, Vector3<f64>)> {
-        let points: Option<Vec<Vector3<f64>>> =
-            self.neighbours.iter().map(|&n| now.get(n).copied().flatten()).collect();
-        let (center, points) = centered(&points?);
-        let rotation = align(&points, &self.reference, &vec![1.0; points.len()], guess);
-        let mut features = DVector::zeros(3 * points.len());
+    ) -> Option<(Features, Rotation3<f64>, Vector3<f64>)> {
+        let mut points = [Vector3::zeros(); NEIGHBOURS];
+        let points = &mut points[..self.neighbours.len()];
+        for (point, &n) in points.iter_mut().zip(&self.neighbours) {
+            *point = now.get(n).copied().flatten()?;
+        }
+        let center = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+        points.iter_mut().for_each(|p| *p -= center);
+        let rotation = align(points, &self.reference, &[1.0; NEIGHBOURS], guess);
+        let mut features = Features::zeros();
         for (i, (point, reference)) in points.iter().zip(&self.reference).enumerate() {
             features.fixed_rows_mut::<3>(3 * i).copy_from(&(rotation * point - reference));
         }
@@ -167,9 +177,9 @@ impl Fit {
         Some((Sample { features, place: rotation * (marker - center) }, rotation))
     }
 
-    fn place_of(&self, features: &DVector<f64>) -> Vector3<f64> {
-        let departure = self.coefficients.as_ref().map(|c| c * (features - &self.mean_features));
-        self.mean_place + departure.map_or(Vector3::zeros(), |d| Vector3::new(d[0], d[1], d[2]))
+    fn place_of(&self, features: &Features) -> Vector3<f64> {
+        let departure = self.coefficients.as_ref().map(|c| c * (features - self.mean_features));
+        self.mean_place + departure.unwrap_or_default()
     }
 
     /// Mean place, regression and error from the samples (newest first).
@@ -184,9 +194,9 @@ impl Fit {
             self.variance = self.untried_variance(samples);
             return Some(());
         }
-        let moments = Moments::of(samples.iter());
-        let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f).iter())).collect();
-        let scale = moments.mean_variance();
+        let moments = Moments::of(samples);
+        let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f))).collect();
+        let scale = moments.mean_variance(3 * self.neighbours.len());
         let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
         let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;
         self.mean_features = moments.mean_features();
@@ -235,7 +245,7 @@ impl Fit {
             place += (offset * (1.0 + x) + drift * after_s) * kept;
             faded = (1.0 - kept * kept * ((1.0 + x).powi(2) + x * x)).max(0.0);
         }
-        let departure = &features - &self.mean_features;
+        let departure = features - self.mean_features;
         let leverage = self.inverse.as_ref().map_or(0.0, |m| departure.dot(&(m * &departure))).min(LARGEST_LEVERAGE);
         let variance = self.variance * faded * (1.0 + leverage) + LEAST_ERROR.powi(2);
         let point = center + rotation.inverse() * place;
@@ -281,8 +291,7 @@ fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f
         for sample in fold(samples, f) {
             let mut off = sample.place - mean_place;
             if let Some(coefficients) = &coefficients {
-                let d = coefficients * (&sample.features - &mean_features);
-                off -= Vector3::new(d[0], d[1], d[2]);
+                off -= coefficients * (sample.features - mean_features);
             }
             error += off.norm_squared();
         }
@@ -293,76 +302,79 @@ fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f
 /// First and second moments of samples.
 struct Moments {
     count: f64,
-    features: DVector<f64>,
+    features: Features,
     place: Vector3<f64>,
-    features2: DMatrix<f64>,
-    place_features: DMatrix<f64>,
+    features2: OfFeatures,
+    place_features: PlaceByFeatures,
 }
 
 impl Moments {
-    fn of<'a>(samples: impl Iterator<Item = &'a Sample> + Clone) -> Self {
-        let width = samples.clone().next().map_or(0, |s| s.features.len());
+    fn of(samples: &[Sample]) -> Self {
         let mut m = Self {
-            count: 0.0,
-            features: DVector::zeros(width),
+            count: samples.len() as f64,
+            features: Features::zeros(),
             place: Vector3::zeros(),
-            features2: DMatrix::zeros(width, width),
-            place_features: DMatrix::zeros(3, width),
+            features2: OfFeatures::zeros(),
+            place_features: PlaceByFeatures::zeros(),
         };
         for s in samples {
-            m.count += 1.0;
-            m.features += &s.features;
+            m.features += s.features;
             m.place += s.place;
-            m.features2.ger(1.0, &s.features, &s.features, 1.0);
             m.place_features.ger(1.0, &s.place, &s.features, 1.0);
+            // One half will do.
+            for column in 0..WIDTH {
+                let own = s.features[column];
+                for row in column..WIDTH {
+                    m.features2[(row, column)] += own * s.features[row];
+                }
+            }
         }
+        m.features2.fill_upper_triangle_with_lower_triangle();
         m
     }
 
     fn without(&self, other: &Self) -> Self {
         Self {
             count: self.count - other.count,
-            features: &self.features - &other.features,
+            features: self.features - other.features,
             place: self.place - other.place,
-            features2: &self.features2 - &other.features2,
-            place_features: &self.place_features - &other.place_features,
+            features2: self.features2 - other.features2,
+            place_features: self.place_features - other.place_features,
         }
     }
 
-    fn mean_features(&self) -> DVector<f64> {
-        &self.features / self.count
+    fn mean_features(&self) -> Features {
+        self.features / self.count
     }
 
     fn mean_place(&self) -> Vector3<f64> {
         self.place / self.count
     }
 
-    /// Mean over features of their summed squares about the mean (m²).
-    fn mean_variance(&self) -> f64 {
+    /// Mean over so many features of their summed squares about the mean (m²).
+    fn mean_variance(&self, width: usize) -> f64 {
         let mean = self.mean_features();
-        let width = self.features.len().max(1) as f64;
-        (self.features2.trace() - self.count * mean.norm_squared()).max(1e-12) / width
+        (self.features2.trace() - self.count * mean.norm_squared()).max(1e-12) / width as f64
     }
 
     /// Factorised second moments with a ridge; `None` for the rigid frame.
-    fn ridged(&self, ridge: f64) -> Option<Cholesky<f64, Dyn>> {
+    fn ridged(&self, ridge: f64) -> Option<Cholesky<f64, Const<WIDTH>>> {
         if !ridge.is_finite() {
             return None;
         }
         let mean = self.mean_features();
-        let mut second = &self.features2 - &mean * mean.transpose() * self.count;
-        for i in 0..second.nrows() {
+        let mut second = self.features2 - mean * mean.transpose() * self.count;
+        for i in 0..WIDTH {
             second[(i, i)] += ridge;
         }
         second.cholesky()
     }
 
-    /// Coefficients of the places by the features (3 × 3K) with a ridge; `None` for the rigid frame.
-    fn coefficients(&self, ridge: f64) -> Option<DMatrix<f64>> {
+    /// Coefficients of the places by the features with a ridge; `None` for the rigid frame.
+    fn coefficients(&self, ridge: f64) -> Option<PlaceByFeatures> {
         let factor = self.ridged(ridge)?;
         let mean = self.mean_features();
-        let cross = &self.place_features - self.mean_place() * mean.transpose() * self.count;
-        let solved = factor.solve(&cross.transpose());
-        Some(DMatrix::from_fn(3, solved.nrows(), |i, j| solved[(j, i)]))
+        let cross = self.place_features - self.mean_place() * mean.transpose() * self.count;
+        Some(factor.solve(&cross.transpose()).transpose())
     }
 }

@@ -8,15 +8,17 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// The rotation R that minimises Σ w |R a − b|², for points relative to their centroids.
 pub fn align(a: &[Vector3<f64>], b: &[Vector3<f64>], weights: &[f64], guess: Rotation3<f64>) -> Rotation3<f64> {
+    let mut moments = Matrix3::zeros();
+    for ((a, b), w) in a.iter().zip(b).zip(weights) {
+        moments += a * b.transpose() * *w;
+    }
     let mut rotation = guess;
     for _ in 0..30 {
-        let (mut torque, mut cross, mut dot) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
-        for ((a, b), w) in a.iter().zip(b).zip(weights) {
-            let turned = rotation * a;
-            torque += turned.cross(b) * *w;
-            cross += turned * b.transpose() * *w;
-            dot += turned.dot(b) * *w;
-        }
+        // Σ w (R a) bᵀ: its antisymmetric part is the torque, its trace the alignment.
+        let cross = rotation * moments;
+        let dot = cross.trace();
+        let torque =
+            Vector3::new(cross[(1, 2)] - cross[(2, 1)], cross[(2, 0)] - cross[(0, 2)], cross[(0, 1)] - cross[(1, 0)]);
         let inertia = Matrix3::identity() * dot - 0.5 * (cross + cross.transpose());
         // A hair of damping leaves the turn about a line of points alone.
         let damped = inertia + Matrix3::identity() * (1e-9 * dot.abs() + 1e-15);
