@@ -100,6 +100,25 @@ def test_the_same_take_gives_the_same_trajectories(walk: ml.SimulatedTake) -> No
     assert np.array_equal(a.track, b.track)
 
 
+def test_progress_goes_on_while_the_take_is_repaired_and_an_interruption_ends_it(walk: ml.SimulatedTake) -> None:
+    told: list[tuple[int, int]] = []
+    points = ml.track(walk.observations, walk.rig, progress=lambda done, total: told.append((done, total)))
+    assert told == sorted(told)
+    assert {total for _, total in told} == {320}
+    assert sum(done > 160 for done, _ in told) >= 5
+
+    def stop(done: int, total: int) -> None:
+        if done > 160:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ml.track(walk.observations, walk.rig, progress=stop)
+    told.clear()
+    ml.track(points, progress=lambda done, total: told.append((done, total)))
+    assert len(told) >= 5
+    assert told == sorted(told)
+
+
 def test_predicted_samples_have_an_honest_sigma() -> None:
     take = ml.simulate(ml.make_scene("dance", frames=200, markers=33, sigma_px=0.3, seed=0))
     points = ml.track(take.observations, take.rig)

@@ -1,6 +1,6 @@
 """Types of the extension module; see `crates/py`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,7 @@ class Tracker:
         times_s: Sequence[float | None],
         lags_s: Sequence[Sequence[float]],
     ) -> None: ...
-    def recorded(self, confirmed_only: bool) -> dict[str, Any]: ...
+    def recorded(self, confirmed_only: bool, progress: Callable[[float], object] | None = None) -> dict[str, Any]: ...
     def model(self) -> SceneModel: ...
     def frame_ms(self) -> list[float]: ...
 
@@ -62,6 +62,7 @@ def track_points(
     rate_hz: float,
     confirmed_only: bool,
     paper: bool,
+    progress: Callable[[float], object] | None = None,
 ) -> dict[str, Any]: ...
 
 class C3d:

@@ -23,6 +23,11 @@ CHUNK_FRAMES = 64
 Progress = Callable[[int, int], None]
 
 
+def in_parts(progress: Progress | None, total: int) -> Callable[[float], None] | None:
+    """For what tells how much of it is done as a number from 0 to 1."""
+    return progress and (lambda part: progress(round(part * total), total))
+
+
 @dataclass(frozen=True)
 class Reconstruction(Points):
     """Points of a take without identity over time, with the dots they come from and a report."""

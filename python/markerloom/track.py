@@ -26,6 +26,7 @@ from markerloom.reconstruct import (
     Reconstruction,
     as_points,
     dot_arrays,
+    in_parts,
     residual_by_camera,
     statistics,
     timing,
@@ -174,7 +175,7 @@ def track(
     if method not in TRACK_METHODS:
         raise InputError(f"method '{method}': known are {', '.join(TRACK_METHODS)}")
     if isinstance(take, Points):
-        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames, method=method)
+        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames, method=method, progress=progress)
     if rig is None:
         raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
     observations = take if frames is None else take.select(*frames)
@@ -234,9 +235,16 @@ class _Run:
             paper = self.method == "paper"
             tracker = _core.Tracker(rig.core, model, rate_hz, None, paper, planned=known.planned())
         stages["estimate"] = time.perf_counter() - clock
-        _record(tracker, dots, moments, self.progress)
+        _record(tracker, dots, moments, self._part(0))
         stages["track"] = time.perf_counter() - clock - stages["estimate"]
         return tracker
+
+    def _part(self, part: int) -> Progress | None:
+        """Progress of tracking (0) or of the repair (1), which take about as long; alone, tracking is all there is."""
+        if self.progress is None:
+            return None
+        parts, tell = (1 if self.causal or self.method == "paper" else 2), self.progress
+        return lambda done, total: tell(part * total + done, parts * total)
 
     def moves(self, known: Moves) -> Moves:
         """Cameras that are found to move."""
@@ -246,7 +254,7 @@ class _Run:
         """The take with cameras whose moves are known, or are found and healed on the way."""
         clock, stages = time.perf_counter(), {}
         tracker = self._recorded(known, heal, stages)
-        solved = tracker.recorded(self.causal)
+        solved = tracker.recorded(self.causal, in_parts(self._part(1), len(self.dots.frames)))
         stages["repair"] = time.perf_counter() - clock - sum(stages.values())
         solved["sizes"] = np.diff(solved.pop("dot_starts"))
         found = found_moves(known.rig, tracker.moved(not heal))

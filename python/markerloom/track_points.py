@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.spatial.distance import cdist
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.points import KINDS, MEASURED, Points
-from markerloom.reconstruct import Reconstruction
+from markerloom.reconstruct import Progress, Reconstruction, in_parts
 
 Array = NDArray[np.floating[Any]]
 
@@ -30,12 +31,14 @@ def track_points(
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
     method: str = "default",
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """Follow every marker of a take of points through time; their names and trajectories are not looked at.
 
     Only measured rows count; positions that were predicted, filled or edited are found anew. Where the take does not
-    state the uncertainty of its points, it is estimated from how unevenly they move. ``causal``, ``frames`` and
-    ``method`` as in ``track``. Raises ``InputError`` where there is no measured point or no frame rate.
+    state the uncertainty of its points, it is estimated from how unevenly they move. ``causal``, ``frames``,
+    ``method`` and ``progress`` as in ``track``. Raises ``InputError`` where there is no measured point or no frame
+    rate.
     """
     clock = time.perf_counter()
     if frames is not None:
@@ -61,7 +64,8 @@ def track_points(
         xyz_mm = take.xyz_mm[order][first["dots"]]
         noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], xyz_mm, jumps_mm)
         followed = np.maximum(followed, np.where(stated, 0.0, noise_mm))
-    solved = _solve(take, order, followed, rate, causal=causal, method=method)
+    told = in_parts(progress, len(take.frames))
+    solved = _solve(take, order, followed, rate, causal=causal, method=method, told=told)
     tracked = _as_points(solved, take, order, rate, np.where(stated, sigma_mm, noise_mm))
     report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal, method)
     report["timing"] = {"seconds": time.perf_counter() - clock}
@@ -69,7 +73,14 @@ def track_points(
 
 
 def _solve(
-    take: Points, order: NDArray[np.int64], sigma_mm: Array, rate_hz: float, *, causal: bool, method: str
+    take: Points,
+    order: NDArray[np.int64],
+    sigma_mm: Array,
+    rate_hz: float,
+    *,
+    causal: bool,
+    method: str,
+    told: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     starts = np.searchsorted(take.frame[order], np.append(take.frames, take.frames[-1] + 1))
     return _core.track_points(
@@ -80,6 +91,7 @@ def _solve(
         rate_hz,
         causal,
         method == "paper",
+        told,
     )
 
 

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::sync::Mutex;
 
 fn required<'py, T: FromPyObjectOwned<'py>>(dict: &Bound<'py, PyDict>, key: &str) -> PyResult<T> {
     let value = dict.get_item(key)?.ok_or_else(|| RigError::new_err(format!("a camera needs '{key}'")))?;
@@ -103,4 +104,32 @@ impl DotArrays<'_> {
 /// Places from an (n, 3) array.
 pub fn places(xyz: &PyReadonlyArray2<'_, f64>) -> Vec<Vector3<f64>> {
     xyz.as_array().outer_iter().map(|row| Vector3::new(row[0], row[1], row[2])).collect()
+}
+
+/// Calls Python now and then while it is detached, with how much is done (0–1), and keeps the first error.
+pub struct Teller {
+    progress: Option<Py<PyAny>>,
+    failed: Mutex<Option<PyErr>>,
+}
+
+impl Teller {
+    /// For a function of one number, or nobody.
+    pub fn new(progress: Option<Py<PyAny>>) -> Self {
+        Self { progress, failed: Mutex::new(None) }
+    }
+
+    /// Tells how much is done.
+    pub fn tell(&self, part: f64) {
+        let Some(progress) = &self.progress else { return };
+        if let Err(error) = Python::attach(|py| progress.call1(py, (part,)))
+            && let Ok(mut failed) = self.failed.lock()
+        {
+            failed.get_or_insert(error);
+        }
+    }
+
+    /// What went wrong, an interruption by the user among it.
+    pub fn finish(self) -> PyResult<()> {
+        self.failed.into_inner().ok().flatten().map_or(Ok(()), Err)
+    }
 }

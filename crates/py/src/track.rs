@@ -1,6 +1,6 @@
 //! Tracking: frames of dots to trajectories, one at a time or a take at once.
 
-use crate::conv::{self, DotArrays};
+use crate::conv::{self, DotArrays, Teller};
 use crate::errors::InputError;
 use crate::reconstruct::PyModel;
 use crate::rig::PyRig;
@@ -166,14 +166,24 @@ impl PyTracker {
         PyModel { inner: self.tracker.scene().model.clone() }
     }
 
-    /// What was recorded. `confirmed_only`: just what a live user saw.
-    fn recorded<'py>(&self, py: Python<'py>, confirmed_only: bool) -> PyResult<Bound<'py, PyDict>> {
+    /// What was recorded. `confirmed_only`: just what a live user saw. `progress(part)` is called now and then.
+    #[pyo3(signature = (confirmed_only, progress=None))]
+    fn recorded<'py>(
+        &self,
+        py: Python<'py>,
+        confirmed_only: bool,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
         if confirmed_only || matches!(self.tracker, Engine::Paper(_)) {
             return arrays(py, &self.recorded, &self.starts, true);
         }
         let mut scenes: Vec<(usize, &Scene)> = self.past.iter().map(|(from, scene)| (*from, scene)).collect();
         scenes.push((self.scene_from, self.tracker.scene()));
-        let kept = py.detach(|| repair(&scenes, &TrackOptions::default(), &self.recorded, &self.shots, &self.times_s));
+        let (teller, options) = (Teller::new(progress), TrackOptions::default());
+        let kept = py.detach(|| {
+            repair(&scenes, &options, &self.recorded, &self.shots, &self.times_s, &|part| teller.tell(part))
+        });
+        teller.finish()?;
         arrays(py, &kept, &self.starts, false)
     }
 

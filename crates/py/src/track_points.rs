@@ -1,5 +1,6 @@
 //! Tracking of points that another system has measured.
 
+use crate::conv::Teller;
 use crate::errors::InputError;
 use crate::track::arrays;
 use markerloom_core::track::paper::{PaperOptions, PaperPointTracker};
@@ -12,8 +13,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// Follows a take of points: `starts` (frames + 1) are the first rows of each frame, `point_m` (n, 3), `sigma_m` (n,)
-/// per axis. `confirmed_only`: just what a live user saw; `paper`: the seed paper's tracking.
+/// per axis. `confirmed_only`: just what a live user saw; `paper`: the seed paper's tracking. `progress(part)` is called now
+/// and then.
 #[pyfunction]
+#[pyo3(signature = (starts, point_m, sigma_m, frames, rate_hz, confirmed_only, paper, progress=None))]
 #[expect(clippy::too_many_arguments, reason = "each one is a keyword")]
 pub fn track_points<'py>(
     py: Python<'py>,
@@ -24,6 +27,7 @@ pub fn track_points<'py>(
     rate_hz: f64,
     confirmed_only: bool,
     paper: bool,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let sigma_m = sigma_m.as_slice()?;
     let rows = point_m.as_array();
@@ -38,6 +42,7 @@ pub fn track_points<'py>(
     let point =
         |i: usize| MeasuredPoint { point: Vector3::new(rows[(i, 0)], rows[(i, 1)], rows[(i, 2)]), sigma_m: sigma_m[i] };
     let all: Vec<MeasuredPoint> = (0..rows.nrows()).map(point).collect();
+    let teller = Teller::new(progress);
     let tracked = py
         .detach(|| {
             let (mut recorded, mut times_s): (Vec<Tracked>, Vec<f64>) = (Vec::new(), Vec::new());
@@ -49,9 +54,13 @@ pub fn track_points<'py>(
                 recorded.push(if paper { as_written.push(points, moment) } else { default.push(points, moment) }?);
                 times_s.push(if paper { as_written.moment() } else { default.moment() }.1);
             }
-            let repair = |r: Vec<Tracked>| repair_points(&TrackOptions::default(), &r, &times_s);
-            Ok(if confirmed_only || paper { recorded } else { repair(recorded) })
+            if !confirmed_only && !paper {
+                let told = |part| teller.tell(part);
+                recorded = repair_points(&TrackOptions::default(), &recorded, &times_s, &told);
+            }
+            Ok(recorded)
         })
         .map_err(|e: markerloom_core::track::TimeError| InputError::new_err(e.to_string()))?;
+    teller.finish()?;
     arrays(py, &tracked, &starts, confirmed_only)
 }

@@ -21,6 +21,9 @@ const LEAST_EVIDENCE: f64 = 4.0;
 const EXCHANGES: usize = 30;
 const RELABELLINGS: usize = 12;
 const WORTH_EXCHANGING: f64 = 1.0;
+/// How much of the work is done (0–1) when all are joined, and when no exchange is worth it any more.
+const JOINED: f64 = 0.4;
+const EXCHANGED: f64 = 0.7;
 /// Frames looked at per comparison.
 pub(super) const FRAMES: usize = 10;
 /// Frames from which a trajectory's links are learned.
@@ -112,22 +115,26 @@ impl Link {
     }
 }
 
-/// Joins tracklets into chains. Flickers come last, and those that nothing speaks for are left out.
-pub fn join(tracklets: &[Tracklet], times_s: &[f64]) -> Vec<Chain> {
+/// Joins tracklets into chains. Flickers come last, and those that nothing speaks for are left out. `told`: how much is done
+/// (0–1), every now and then.
+pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
     let single = |i: usize| Chain { tracklets: vec![i], length: tracklets[i].measured };
     let all = 0..tracklets.len();
     let mut chains: Vec<Chain> = all.clone().filter(|&i| !tracklets[i].is_flicker()).map(single).collect();
-    for enough in ENOUGH {
+    for (round, enough) in ENOUGH.into_iter().enumerate() {
+        told(JOINED * round as f64 / ENOUGH.len() as f64);
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
-    for _ in 0..EXCHANGES {
+    for round in 0..EXCHANGES {
+        told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
         let joints = joints_of(tracklets, &chains, times_s.len());
         if !exchange(tracklets, times_s, &mut chains, &joints) {
             break;
         }
     }
-    for _ in 0..RELABELLINGS {
+    for round in 0..RELABELLINGS {
+        told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
         let joints = joints_of(tracklets, &chains, times_s.len());
         if !relabel(tracklets, times_s, &mut chains, &joints) {
             break;

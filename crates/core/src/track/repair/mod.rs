@@ -33,16 +33,21 @@ use told::follow_told;
 use tracklets::{TORN, TORN_POINTS, Tracklet, cut};
 use twins::without_twins;
 
+/// How much of the work identities are (0–1).
+const IDENTIFIED: f64 = 0.9;
+
 /// Repairs a recorded take. `shots`, `times_s`: dots and time of each frame; `scenes`: the index of the first frame from
-/// which on each holds, in ascending order from 0.
+/// which on each holds, in ascending order from 0; `told`: how much is done (0–1), every now and then.
 pub fn repair(
     scenes: &[(usize, &Scene)],
     options: &TrackOptions,
     frames: &[Tracked],
     shots: &[Shot],
     times_s: &[f64],
+    told: &dyn Fn(f64),
 ) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s, TORN, Some(shots));
+    let mut repaired = identify(frames, times_s, TORN, Some(shots), &|part| told(IDENTIFIED * part));
+    told(IDENTIFIED);
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     if regain(scenes, shots, times_s, &mut repaired) {
@@ -53,19 +58,26 @@ pub fn repair(
 }
 
 /// Repairs a recorded take of points: there are no dots to prolong a trajectory on.
-pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64]) -> Vec<Tracked> {
-    let mut repaired = identify(frames, times_s, TORN_POINTS, None);
+pub fn repair_points(options: &TrackOptions, frames: &[Tracked], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Tracked> {
+    let mut repaired = identify(frames, times_s, TORN_POINTS, None, &|part| told(IDENTIFIED * part));
+    told(IDENTIFIED);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     repaired
 }
 
 /// Measured samples under the identities that the whole take gives them.
-fn identify(frames: &[Tracked], times_s: &[f64], torn: f64, shots: Option<&[Shot]>) -> Vec<Tracked> {
+fn identify(
+    frames: &[Tracked],
+    times_s: &[f64],
+    torn: f64,
+    shots: Option<&[Shot]>,
+    told: &dyn Fn(f64),
+) -> Vec<Tracked> {
     let (mut tracklets, mut owner) = cut(frames, times_s, torn);
     if let Some(shots) = shots {
         (tracklets, owner) = without_twins(tracklets, owner, frames, shots);
     }
-    let chains = join(&tracklets, times_s);
+    let chains = join(&tracklets, times_s, told);
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
         let named = |(sample, tracklet): (&Sample, &Option<usize>)| {
