@@ -107,7 +107,7 @@ def test_progress_goes_on_while_the_take_is_repaired_and_an_interruption_ends_it
     assert {total for _, total in told} == {320}
     assert sum(done > 160 for done, _ in told) >= 5
 
-    def stop(done: int, total: int) -> None:
+    def stop(done: int, _total: int) -> None:
         if done > 160:
             raise KeyboardInterrupt
 

@@ -246,7 +246,7 @@ impl Fit {
             faded = (1.0 - kept * kept * ((1.0 + x).powi(2) + x * x)).max(0.0);
         }
         let departure = features - self.mean_features;
-        let leverage = self.inverse.as_ref().map_or(0.0, |m| departure.dot(&(m * &departure))).min(LARGEST_LEVERAGE);
+        let leverage = self.inverse.as_ref().map_or(0.0, |m| departure.dot(&(m * departure))).min(LARGEST_LEVERAGE);
         let variance = self.variance * faded * (1.0 + leverage) + LEAST_ERROR.powi(2);
         let point = center + rotation.inverse() * place;
         Some(Carried { point, covariance: Matrix3::identity() * variance })
