@@ -256,21 +256,27 @@ impl Moments {
     fn of<V: Value>(image: &Image<'_, V>, component: &Component, level: &Level) -> Self {
         let origin = nalgebra::Vector2::new(component.left as f64, component.top as f64);
         let (mut sum, mut first, mut second) = (0.0, nalgebra::Vector2::zeros(), [0.0; 3]);
-        let (mut mass, mut peak) = (0.0, 0.0_f64);
+        let mut peak = 0.0_f64;
         for run in &component.runs {
-            for x in run.first..run.last {
-                let value = image.at(x, run.row);
+            let row = &image.values[run.row * image.width..][run.first..run.last];
+            let (mut own, mut along, mut square) = (0.0, 0.0, 0.0);
+            let mut x = (run.first - component.left) as f64;
+            for &value in row {
+                let value: f64 = value.into();
                 let weight = value - level.threshold;
-                let at = nalgebra::Vector2::new(x as f64, run.row as f64) - origin;
-                sum += weight;
-                first += at * weight;
-                second[0] += weight * at.x * at.x;
-                second[1] += weight * at.x * at.y;
-                second[2] += weight * at.y * at.y;
-                mass += value - level.background;
-                peak = peak.max(value - level.background);
+                own += weight;
+                along += weight * x;
+                square += weight * x * x;
+                peak = peak.max(value);
+                x += 1.0;
             }
+            let y = (run.row - component.top) as f64;
+            sum += own;
+            first += nalgebra::Vector2::new(along, own * y);
+            second = [second[0] + square, second[1] + along * y, second[2] + own * y * y];
         }
+        let mass = sum + component.pixels as f64 * (level.threshold - level.background);
+        let peak = (peak - level.background).max(0.0);
         let mean = first / sum;
         let products = [mean.x * mean.x, mean.x * mean.y, mean.y * mean.y];
         Self { center: origin + mean, second: std::array::from_fn(|k| second[k] / sum - products[k]), mass, peak }

@@ -37,9 +37,8 @@ impl Component {
     }
 }
 
-/// Pixels looked at together: dark rows are passed over as a whole; in others, so many at a time; near bright ones, fewer.
-const CHUNK: usize = 128;
-const PART: usize = 16;
+/// Pixels looked at together: dark rows are passed over as a whole, in others so many at a time.
+const PART: usize = 32;
 const LANES: usize = 16;
 
 /// All components of pixels above `limit`, in ascending order of their first row, then column.
@@ -54,14 +53,17 @@ pub fn components<V: Value>(image: &Image<'_, V>, limit: V) -> Vec<Component> {
         join(&runs, &mut parent, above, start..runs.len(), row);
         above = start..runs.len();
     }
+    let roots: Vec<usize> = (0..runs.len()).map(|k| root(&mut parent, k as u32) as usize).collect();
+    let mut members = vec![0; runs.len()];
+    roots.iter().for_each(|&root| members[root] += 1);
     let mut index = vec![usize::MAX; runs.len()];
     let mut found: Vec<Component> = Vec::new();
-    for (k, run) in runs.iter().enumerate() {
-        let root = root(&mut parent, k as u32) as usize;
+    for (run, &root) in runs.iter().zip(&roots) {
         if index[root] == usize::MAX {
             index[root] = found.len();
             let (top, left, bottom, right) = (run.row, run.first, run.row, run.last - 1);
-            found.push(Component { runs: Vec::new(), pixels: 0, top, left, bottom, right });
+            let runs = Vec::with_capacity(members[root]);
+            found.push(Component { runs, pixels: 0, top, left, bottom, right });
         }
         let own = &mut found[index[root]];
         own.runs.push(*run);
@@ -84,34 +86,41 @@ fn brightest<V: Value>(values: &[V], least: V) -> V {
     lanes.into_iter().fold(rest, V::max)
 }
 
+/// Which of [`PART`] values are above a limit, as bits from the lowest on.
+fn brighter<V: Value>(part: &[V; PART], limit: V) -> u64 {
+    let mut bits = 0;
+    for (k, value) in part.iter().enumerate() {
+        bits |= u64::from(*value > limit) << k;
+    }
+    bits
+}
+
 fn runs_of_row<V: Value>(values: &[V], limit: V, row: usize, runs: &mut Vec<Run>) {
     let is_dark = |part: &[V]| brightest(part, limit) <= limit;
     if is_dark(values) {
         return;
     }
     let mut open: Option<usize> = None;
-    for (k, chunk) in values.chunks(CHUNK).enumerate() {
-        if is_dark(chunk) {
-            runs.extend(open.take().map(|first| Run { row, first, last: k * CHUNK }));
+    for (k, part) in values.chunks(PART).enumerate() {
+        let left = k * PART;
+        if is_dark(part) {
+            runs.extend(open.take().map(|first| Run { row, first, last: left }));
             continue;
         }
-        for (j, part) in chunk.chunks(PART).enumerate() {
-            let left = k * CHUNK + j * PART;
-            if is_dark(part) {
-                runs.extend(open.take().map(|first| Run { row, first, last: left }));
-                continue;
+        let bright = match part.try_into() {
+            Ok(whole) => brighter(whole, limit),
+            Err(_) => brighter(&std::array::from_fn(|k| part.get(k).copied().unwrap_or(limit)), limit),
+        };
+        // Bits where bright follows dark or dark follows bright.
+        let mut changes = bright ^ (bright << 1 | u64::from(open.is_some()));
+        changes &= (1 << part.len()) - 1;
+        while changes != 0 {
+            let at = left + changes.trailing_zeros() as usize;
+            match open.take() {
+                Some(first) => runs.push(Run { row, first, last: at }),
+                None => open = Some(at),
             }
-            let mut x = 0;
-            while x < part.len() {
-                // To the next pixel that ends what is open, or opens a run.
-                let is_end = |v: &V| (*v > limit) != open.is_some();
-                let Some(step) = part[x..].iter().position(is_end) else { break };
-                x += step;
-                match open.take() {
-                    Some(first) => runs.push(Run { row, first, last: left + x }),
-                    None => open = Some(left + x),
-                }
-            }
+            changes &= changes - 1;
         }
     }
     runs.extend(open.map(|first| Run { row, first, last: values.len() }));
