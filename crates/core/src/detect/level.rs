@@ -24,16 +24,24 @@ impl Level {
     /// The median is the background, the spread below it the noise: markers are few, and bright.
     pub fn of<V: Value>(image: &Image<'_, V>, threshold: Option<f64>) -> Self {
         let step = (image.values.len() / LOOKED_AT).max(1) | 1; // odd, so that it meets all columns
-        let mut sample: Vec<V> = image.values.iter().step_by(step).copied().collect();
+        let sample = V::tally(image.values.iter().step_by(step).copied());
         if sample.is_empty() {
             return Self { background: 0.0, noise: ROUNDING, threshold: threshold.unwrap_or(0.0) };
         }
-        let middle = sample.len() / 2;
-        let background: f64 = (*sample.select_nth_unstable(middle).1).into();
+        let middle = sample.iter().map(|(_, n)| n).sum::<usize>() / 2;
+        let mut below = 0;
+        let is_middle = |(_, n): &&(V, usize)| {
+            below += n;
+            below > middle
+        };
+        let background: f64 = sample.iter().find(is_middle).map_or(0.0, |(v, _)| (*v).into());
         let (mut squares, mut count) = (0.0, 0.0);
-        for off in sample.iter().map(|v| background - (*v).into()).filter(|off| *off >= 0.0) {
-            squares += off * off;
-            count += if off > 0.0 { 1.0 } else { 0.5 };
+        for (value, n) in &sample {
+            let off = background - (*value).into();
+            if off >= 0.0 {
+                squares += *n as f64 * off * off;
+                count += *n as f64 * if off > 0.0 { 1.0 } else { 0.5 };
+            }
         }
         let noise = (squares / f64::max(count, 1.0)).sqrt().max(ROUNDING);
         let automatic = background + CLEARLY * noise;

@@ -23,6 +23,8 @@ pub trait Value: Copy + Ord + Into<f64> {
     fn at_most(threshold: f64) -> Self;
     /// In single precision.
     fn grey(self) -> f32;
+    /// The values in ascending order, each with how often there is it.
+    fn tally(values: impl Iterator<Item = Self>) -> Vec<(Self, usize)>;
 }
 
 impl Value for u8 {
@@ -33,6 +35,11 @@ impl Value for u8 {
     fn grey(self) -> f32 {
         f32::from(self)
     }
+    fn tally(values: impl Iterator<Item = Self>) -> Vec<(Self, usize)> {
+        let mut counts = [0; 256];
+        values.for_each(|v| counts[usize::from(v)] += 1);
+        (0..=Self::MAX).zip(counts).filter(|(_, count)| *count > 0).collect()
+    }
 }
 
 impl Value for u16 {
@@ -42,6 +49,11 @@ impl Value for u16 {
     }
     fn grey(self) -> f32 {
         f32::from(self)
+    }
+    fn tally(values: impl Iterator<Item = Self>) -> Vec<(Self, usize)> {
+        let mut sorted: Vec<Self> = values.collect();
+        sorted.sort_unstable();
+        sorted.chunk_by(|a, b| a == b).map(|own| (own[0], own.len())).collect()
     }
 }
 
