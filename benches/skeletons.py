@@ -1,6 +1,6 @@
 """Skeletons against truth: joint centres, residuals, speed, swaps, gaps, feet, files; beside OpenSim where it is there.
 
-    python benches/skeletons.py [joints short real speed swap gap feet files glb opensim]
+    python benches/skeletons.py [joints short real speed swap gap gaps feet files glb opensim]
 
 Simulated: a range of motion of 41 s at 100 Hz, 53 markers, 1 mm of noise, three body sizes (seeds 0, 1, 2).
 """
@@ -147,6 +147,30 @@ def gap() -> None:
         off = np.linalg.norm(ours - whole, axis=1)
         print(f"  from frame {start}: acceleration {bend:.0f} m/s², off by at most {1000 * off.max():.0f} mm within, "
               f"{1000 * off[start + 55 :].max():.2f} mm from the 5th frame after")  # fmt: skip
+
+
+def gaps() -> None:
+    """The same in many places: half a second in every four, three bodies."""
+    sharp, off = [], []
+    for seed in range(3):
+        points, *_ = taken(seed)
+        solved = ml.solve(points, contacts=False)
+        skeleton = solved.wearer.skeleton
+        wrist, first = skeleton.index("l_radiocarpal"), skeleton.index("l_shoulder")
+        arm = [m for m, j in zip(solved.wearer.markers, solved.wearer.joints, strict=True) if first <= j <= wrist]
+        whole = solved.motion.joints_m()[:, wrist]
+        sharpest = np.linalg.norm(np.diff(whole, 2, axis=0), axis=1).max()
+        for shift in range(0, 400, 100):
+            starts = range(300 + shift, len(whole) - 200, 400)
+            hidden = np.isin(points.frame, [f for start in starts for f in range(start, start + 50)])
+            kept = points.keep(~(hidden & np.isin(points.label, arm)))
+            ours = ml.solve(kept, solved.wearer, contacts=False).motion.joints_m()[:, wrist]
+            bends = np.linalg.norm(np.diff(ours, 2, axis=0), axis=1)
+            sharp += [bends[start - 5 : start + 60].max() / sharpest for start in starts]
+            off += [1000 * np.linalg.norm(ours - whole, axis=1)[start : start + 50].max() for start in starts]
+    print(f"{len(sharp)} gaps: acceleration over the take's largest {np.median(sharp):.2f} (median), "
+          f"{np.quantile(sharp, 0.9):.2f} (90 %), above 1 in {np.mean(np.array(sharp) > 1):.0%}; off by at most "
+          f"{np.median(off):.1f} mm (median), {np.quantile(off, 0.9):.1f} mm (90 %)")  # fmt: skip
 
 
 def feet() -> None:
@@ -303,7 +327,7 @@ def _opensim_residual_mm(osim: Any, model: Path, mot: Path, wearer: ml.Wearer, w
     return 1000.0 * float(np.sqrt(np.mean(squares)))
 
 
-ROWS = {r.__name__: r for r in (joints, short, real, speed, swap, gap, feet, files, glb, opensim)}
+ROWS = {r.__name__: r for r in (joints, short, real, speed, swap, gap, gaps, feet, files, glb, opensim)}
 
 if __name__ == "__main__":
     for row in sys.argv[1:] or list(ROWS):

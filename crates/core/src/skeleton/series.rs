@@ -8,16 +8,19 @@ const AROUND_S: f64 = 2.0;
 /// Accelerations are told over such steps (s), within which they may be so many times as large.
 const BEND_S: f64 = 0.05;
 const SHARPER: f64 = 2.0;
+/// How fast a series leaves its smoothed course at the edge of a gap is told over such a step (s).
+const EDGE_S: f64 = 0.02;
 /// A component is observed where its variance is below this part of that of rest.
 const OBSERVED: f64 = 0.2;
 /// This quantile of a series' accelerations is the size that smoothing expects.
 const SHARPEST: f64 = 0.99;
 
 /// A series over its gaps: smoothed with accelerations of the size that it shows around each gap beyond its noise, and
-/// shifted within the gap so that it meets the samples on both sides. Outside of gaps the samples themselves.
+/// shifted within the gap so that it meets the samples on both sides, their slopes too. Outside of gaps the samples themselves.
 pub fn carried(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec<(f64, f64)> {
     let mut out: Vec<(f64, f64)> = values.iter().zip(variance).map(|(v, s)| (*v, s.sqrt())).collect();
     let around = (AROUND_S / step_s).round() as usize;
+    let lag = ((EDGE_S / step_s).round() as usize).max(1);
     let mut t = 0;
     while t < values.len() {
         if variance[t].is_finite() {
@@ -28,19 +31,36 @@ pub fn carried(values: &[f64], variance: &[f64], step_s: f64, least: f64) -> Vec
         let (low, high) = (t.saturating_sub(around), (end + around).min(values.len()));
         let (own, spread) = (&values[low..high], &variance[low..high]);
         let (mean, sd2) = smoothed(own, spread, step_s, true_acceleration(own, spread, step_s).max(least));
-        let before = t.checked_sub(1).map(|b| values[b] - mean[b - low]);
-        let after = (end < values.len()).then(|| values[end] - mean[end - low]);
+        let off = |at: usize| variance[at].is_finite().then(|| values[at] - mean[at - low]);
+        let before = t.checked_sub(1).map(|edge| departure(edge, t.saturating_sub(1 + lag).max(low), off));
+        let after = (end < values.len()).then(|| departure(end, (end + lag).min(high - 1), off));
         for (step, place) in (t..end).enumerate() {
-            let share = (step + 1) as f64 / (end - t + 1) as f64;
             let shift = match (before, after) {
-                (Some(b), Some(a)) => b * (1.0 - share) + a * share,
-                (b, a) => b.or(a).unwrap_or(0.0),
+                (Some(b), Some(a)) => between(b, a, step + 1, end - t + 1),
+                (b, a) => b.or(a).map_or(0.0, |edge| edge.0),
             };
             out[place] = (mean[place - low] + shift, sd2[place - low].sqrt());
         }
         t = end;
     }
     out
+}
+
+/// By how much the samples are off at an edge, and how fast that changes up to there (per sample, in order of time).
+fn departure(edge: usize, other: usize, off: impl Fn(usize) -> Option<f64>) -> (f64, f64) {
+    let value = off(edge).unwrap_or(0.0);
+    let slope = off(other).filter(|_| other != edge).map_or(0.0, |far| (value - far) / (edge as f64 - other as f64));
+    (value, slope)
+}
+
+/// A cubic between two values with their slopes (per sample), so many samples of all after the first (Hermite).
+fn between((b, b_slope): (f64, f64), (a, a_slope): (f64, f64), samples: usize, all: usize) -> f64 {
+    let (s, length) = (samples as f64 / all as f64, all as f64);
+    let (s2, s3) = (s * s, s * s * s);
+    b * (2.0 * s3 - 3.0 * s2 + 1.0)
+        + b_slope * length * (s3 - 2.0 * s2 + s)
+        + a * (3.0 * s2 - 2.0 * s3)
+        + a_slope * length * (s3 - s2)
 }
 
 /// Size of the accelerations in a series beyond what its noise makes: over steps so long that noise makes little.
@@ -145,4 +165,31 @@ fn smoothed(values: &[f64], variance: &[f64], dt: f64, acceleration: f64) -> (Ve
         spread[t] = later_p[(0, 0)].max(1e-18);
     }
     (mean, spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_left_and_entered_at_the_samples_own_speed() {
+        // A swing that is hidden where it is fastest, in a series that is calm elsewhere.
+        let value = |t: usize| if (180..320).contains(&t) { (t as f64 * 0.05).sin() } else { (9.0_f64).sin() };
+        let values: Vec<f64> = (0..500).map(value).collect();
+        let variance: Vec<f64> = (0..500).map(|t| if (230..260).contains(&t) { f64::INFINITY } else { 1e-6 }).collect();
+        let filled: Vec<f64> = carried(&values, &variance, 0.01, 2.0).into_iter().map(|f| f.0).collect();
+        let step = |t: usize| filled[t + 1] - filled[t];
+        for edge in [229, 259] {
+            assert!((step(edge) - step(edge - 1)).abs() < 0.004, "{edge}: {} {}", step(edge - 1), step(edge));
+        }
+        assert_eq!(filled[229], values[229]);
+        assert_eq!(filled[260], values[260]);
+    }
+
+    #[test]
+    fn a_cubic_has_the_values_and_slopes_of_its_ends() {
+        let at = |samples: usize| between((1.0, 0.2), (3.0, -0.1), samples, 1000);
+        assert!((at(0) - 1.0).abs() < 1e-12 && (at(1000) - 3.0).abs() < 1e-12);
+        assert!((at(1) - at(0) - 0.2).abs() < 1e-3 && (at(1000) - at(999) + 0.1).abs() < 1e-3);
+    }
 }
