@@ -176,14 +176,13 @@ mod tests {
         // A swing that is hidden where it is fastest, in a series that is calm elsewhere.
         let value = |t: usize| if (180..320).contains(&t) { (t as f64 * 0.05).sin() } else { (9.0_f64).sin() };
         let values: Vec<f64> = (0..500).map(value).collect();
-        let variance: Vec<f64> = (0..500).map(|t| if (230..260).contains(&t) { f64::INFINITY } else { 1e-6 }).collect();
+        let variance: Vec<f64> = (0..500).map(|t| if (230..260).contains(&t) { f64::INFINITY } else { 1e-3 }).collect();
         let filled: Vec<f64> = carried(&values, &variance, 0.01, 2.0).into_iter().map(|f| f.0).collect();
-        let step = |t: usize| filled[t + 1] - filled[t];
         for edge in [229, 259] {
-            assert!((step(edge) - step(edge - 1)).abs() < 0.004, "{edge}: {} {}", step(edge - 1), step(edge));
+            let (step, truth) = (filled[edge + 1] - filled[edge], value(edge + 1) - value(edge));
+            assert!((step - truth).abs() < 6e-4, "{edge}: {step} instead of {truth}");
         }
-        assert_eq!(filled[229], values[229]);
-        assert_eq!(filled[260], values[260]);
+        assert!((filled[229] - values[229]).abs() + (filled[260] - values[260]).abs() < 1e-12);
     }
 
     #[test]
