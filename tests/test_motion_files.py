@@ -354,3 +354,93 @@ def test_motions_on_the_command_line(tmp_path: Path) -> None:
     again = ml.read_motion(tmp_path / "n.bvh", units="m", up="z")
     assert again.joints_m()[1, 1, 2] == pytest.approx(0.5)
     assert json.dumps(list(again.skeleton.joints)) == '["Hips", "Knee"]'
+
+
+def test_c3d_holds_joints_angles_and_segments(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    made = motion(seed=11)
+    ml.write_motion(made, tmp_path / "m.c3d")
+    theirs = ezc3d.c3d(str(tmp_path / "m.c3d"))
+    parameters, data = theirs["parameters"], theirs["data"]
+    labels = parameters["POINT"]["LABELS"]["value"]
+    assert parameters["POINT"]["ANGLE_UNITS"]["value"] == ["deg"]
+    for joint, columns in ml.joint_angles(made).items():
+        assert f"{joint}_angles" in parameters["POINT"]["ANGLES"]["value"]
+        at = labels.index(f"{joint}_angles")
+        assert parameters["POINT"]["DESCRIPTIONS"]["value"][at] == ", ".join(name for name, _ in columns)
+        np.testing.assert_allclose(data["points"][:3, at], [v for _, v in columns], atol=1e-4)
+    place = np.moveaxis(data["rotations"][:3, 3], 2, 0).transpose(0, 2, 1)
+    np.testing.assert_allclose(place, 1000.0 * made.joints_m(), atol=1e-3)
+    again = ml.read_points(tmp_path / "m.c3d")
+    assert set(again.label) == set(made.skeleton.joints), "angles are no points"
+    np.testing.assert_allclose(again.xyz_mm.reshape(FRAMES, -1, 3), 1000.0 * made.joints_m(), atol=1e-3)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_segments_of_a_c3d_are_solved(up: str, tmp_path: Path) -> None:
+    made = _slow(motion(seed=12, reach=0.4))
+    ml.write_motion(made, tmp_path / "m.c3d", up=up)
+    poses = ml.read_segment_poses(tmp_path / "m.c3d")
+    again = ml.solve_segments(poses)
+    part_of = {j: part for part, j in reversed(made.skeleton.segments.items())}
+    order = [poses.skeleton.joints.index(part_of.get(j, name)) for j, name in enumerate(made.skeleton.joints)]
+    assert np.abs(again.joints_m()[:, order] - made.joints_m()).max() < 1e-3
+    known = ml.joint_angles(made)
+    assert len(known) == len(ml.joint_angles(again))
+    for part, columns in ml.joint_angles(again).items():
+        name = made.skeleton.joints[made.skeleton.segments[part]]
+        for (_, own), (_, angle) in zip(columns, known[name], strict=True):
+            assert np.abs((own - angle + 180.0) % 360.0 - 180.0).max() < 0.5, name
+
+
+@needs_data
+def test_segments_of_a_markerless_system_are_solved(tmp_path: Path) -> None:
+    from test_cli import run
+
+    path = DATA / "c3d/ezc3d/C3DRotationExample.c3d"
+    poses = ml.read_segment_poses(path)
+    skeleton = poses.skeleton
+    above = {n: skeleton.joints[p] for n, p in zip(skeleton.joints, skeleton.parents, strict=True) if p >= 0}
+    assert "worldbody" not in skeleton.joints
+    assert (above["l_hand"], above["l_uarm"], above["r_toes"]) == ("l_larm", "l_clavicle", "r_foot")
+    off_mm = 1000.0 * np.linalg.norm(ml.solve_segments(poses).joints_m() - poses.place_m, axis=2)
+    legs = [skeleton.joints.index(n) for n in ("l_thigh", "l_shank", "l_foot", "l_toes")]
+    assert np.nanmedian(off_mm[:, legs]) < 3.0
+    run("solve", path, "-o", tmp_path / "m.bvh")
+    assert len(ml.read_motion(tmp_path / "m.bvh")) == 340
+
+
+def test_segments_without_known_names_hang_where_their_origins_stay(tmp_path: Path) -> None:
+    from markerloom.formats import c3d_file
+
+    made = motion(seed=13, reach=0.4)
+    keep = [made.skeleton.joints.index(n) for n in ("humanoid_root", "l_hip", "l_knee", "l_talocrural")]
+    turn, place = made.segments()
+    names = ["box", "one", "two", "three"]
+    points = ml.read_points(_joints(made, tmp_path))
+    segments = c3d_file.Segments(names, 1000.0 * place[:, keep], turn[:, keep])
+    c3d_file.write(points, tmp_path / "s.c3d", segments=segments)
+    skeleton = ml.read_segment_poses(tmp_path / "s.c3d").skeleton
+    assert dict(zip(skeleton.joints, skeleton.parents, strict=True))["three"] == skeleton.joints.index("two")
+    segments.place_mm[:6, 0], segments.place_mm[6:, 1:] = np.nan, np.nan
+    c3d_file.write(points, tmp_path / "s.c3d", segments=segments)
+    with pytest.raises(MarkerloomError, match="never seen together"):
+        ml.read_segment_poses(tmp_path / "s.c3d")
+    with pytest.raises(MarkerloomError, match="holds no poses of segments"):
+        ml.read_segment_poses(_joints(made, tmp_path))
+
+
+def _slow(made: Motion) -> Motion:
+    """From the pose of its first frame to that of its second, in a second."""
+    part = np.linspace(0.0, 1.0, 100)
+    first, second = (Rotation.from_matrix(made.turns[f]) for f in (0, 1))
+    step = (first.inv() * second).as_rotvec()
+    turns = np.stack([(first * Rotation.from_rotvec(p * step)).as_matrix() for p in part])
+    return Motion(made.skeleton, np.outer(part, [1.0, 0.5, 0.2]), turns, 100.0)
+
+
+def _joints(made: Motion, folder: Path) -> Path:
+    from markerloom.skeleton.tables import as_points
+
+    as_points(made).save(folder / "joints.c3d")
+    return folder / "joints.c3d"

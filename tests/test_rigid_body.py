@@ -85,3 +85,22 @@ def test_a_body_and_its_poses_survive_their_files(tmp_path: Path) -> None:
     (tmp_path / "b.toml").write_text("units = 'miles'\nmarkers = []\n")
     with pytest.raises(ml.FormatError, match="no rigid body"):
         ml.read_rigid_body(tmp_path / "b.toml")
+
+
+def test_poses_stand_beside_the_markers_in_a_c3d(tmp_path: Path) -> None:
+    from markerloom.formats import c3d_file
+    from test_cli import run
+
+    points_mm, rotation, _ = moved(LAYOUT_MM, 30)
+    points_mm[4:6, 1:] = np.nan
+    take = points_of(points_mm, NAMES)
+    take.save(tmp_path / "take.c3d")
+    ml.write_rigid_body(ml.create_rigid_body(take, NAMES, name="tool"), tmp_path / "tool.toml")
+    run("rigid", "track", tmp_path / "take.c3d", "--body", tmp_path / "tool.toml", "-o", tmp_path / "posed.c3d")
+    segments, _ = c3d_file.read_segments(tmp_path / "posed.c3d")
+    assert segments.labels == ["tool"]
+    assert np.isnan(segments.turn[4:6]).all()
+    seen = np.r_[0:4, 6:30]
+    relative = np.swapaxes(rotation.as_matrix()[seen], 1, 2) @ segments.turn[seen, 0]
+    np.testing.assert_allclose(relative, relative[:1].repeat(len(seen), axis=0), atol=1e-4)
+    assert len(ml.read_points(tmp_path / "posed.c3d")) == len(take)

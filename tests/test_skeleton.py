@@ -373,3 +373,46 @@ def test_a_real_cloud_becomes_a_skeleton_with_hints(tmp_path: Path) -> None:
     again = ml.read_motion(tmp_path / "take.bvh")
     order = [again.skeleton.joints.index(n) for n in solved.motion.skeleton.joints]
     assert np.abs(again.joints_m()[:, order] - solved.motion.joints_m()).max() < 1e-6
+
+
+def test_sensors_carry_an_arm_whose_markers_are_gone() -> None:
+    solved, points, _, _, _ = solved_rom()
+    part = points.select(600, 1000)
+    without = ml.solve(part, solved.wearer, contacts=False).motion
+    turn, place = without.segments()
+    rng = np.random.default_rng(3)
+    arm = [without.skeleton.index(n) for n in ("left_upper_arm", "left_forearm", "left_hand")]
+    world, shift = Rotation.from_rotvec([0.1, -0.2, 1.4]).as_matrix(), np.array([1.0, 2.0, -0.5])
+    sits = Rotation.random(len(arm), rng=rng).as_matrix()
+    noise = Rotation.from_rotvec(0.005 * rng.standard_normal((len(turn) * len(arm), 3))).as_matrix()
+    sensed = noise.reshape(len(turn), len(arm), 3, 3) @ world @ turn[:, arm] @ sits
+    at = (place[:, arm] + turn[:, arm] @ np.array([0.02, 0.0, -0.1])) @ world.T + shift
+    sensors = ml.Skeleton("sensors", ("left_upper_arm", "left_forearm", "left_hand"), (-1, 0, 1), np.zeros((3, 3)))
+    poses = SegmentPoses(sensors, at, sensed, without.rate_hz, first_frame=600)
+    names = {m for m, j in zip(solved.wearer.markers, solved.wearer.joints, strict=True) if j in arm}
+    hidden = part.keep(~(np.isin(part.label, list(names)) & (part.frame >= 750) & (part.frame < 850)))
+    bare = ml.solve(hidden, solved.wearer, contacts=False)
+    both = ml.solve(hidden, solved.wearer, contacts=False, poses=poses)
+    gone = slice(750 - 600, 850 - 600)
+    off = [1000.0 * np.linalg.norm(s.motion.joints_m() - place, axis=2)[gone][:, arm].max() for s in (bare, both)]
+    assert off[0] > 50.0, "the arm moves while it is hidden"
+    assert off[1] < 15.0
+    assert (bare.motion.kind[gone][:, arm[0]] == 1).all()
+    assert (both.motion.kind[gone][:, arm] == 0).all()
+    assert both.report["sensors"]["l_elbow"]["sigma_deg"] < 2.0
+    # Turns alone, as inertial sensors tell them, and at their own rate.
+    poses.place_m[:] = np.nan
+    slow = SegmentPoses(sensors, poses.place_m[::2], poses.turn[::2], without.rate_hz / 2, first_frame=300)
+    turned = ml.solve(hidden, solved.wearer, contacts=False, poses=slow).motion
+    assert 1000.0 * np.linalg.norm(turned.joints_m() - place, axis=2)[gone][:, arm].max() < 30.0
+
+
+def test_poses_of_nobody_here_are_refused() -> None:
+    solved, points, _, _, _ = solved_rom()
+    part = points.select(0, 50)
+    box = ml.Skeleton("box", ("box",), (-1,), np.zeros((1, 3)))
+    still = SegmentPoses(box, np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1)), 50.0)
+    with pytest.raises(MarkerloomError, match="no segment of the poses"):
+        ml.solve(part, solved.wearer, poses=still)
+    with pytest.raises(MarkerloomError, match="no moment in common"):
+        ml.solve(part, solved.wearer, poses=replace(still, first_frame=5000))

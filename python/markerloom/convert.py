@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from markerloom import formats
 from markerloom.errors import InputError
 from markerloom.formats import c3d_file
 from markerloom.points import Points
 from markerloom.skeleton import read_motion, read_segment_poses, solve_segments, write_motion
 from markerloom.skeleton.files import MOTIONS_READ
+from markerloom.skeleton.segment_poses import is_segment_poses
 
 
 def convert(
@@ -38,10 +37,11 @@ def convert(
     if up not in (None, "y", "z"):
         raise InputError(f"up '{up}': y or z")
     kind, wanted = formats.ending(source), formats.ending(target)
-    if kind in (*MOTIONS_READ, ".mvnx"):
+    poses = kind == ".mvnx" or (kind == ".c3d" and wanted not in formats.POINTS_WRITTEN and is_segment_poses(source))
+    if kind in MOTIONS_READ or poses:
         write_motion(
             solve_segments(read_segment_poses(source))
-            if kind == ".mvnx"
+            if poses
             else read_motion(source, units=source_units, up=source_up, rate_hz=rate_hz),
             target,
             units=units,
@@ -75,7 +75,4 @@ def _is_observations(path: str | Path) -> bool:
 def _changed(points: Points, rate_hz: float | None, up: str | None) -> Points:
     if rate_hz is not None:
         points = replace(points, rate_hz=rate_hz)
-    if up == "y" and points.up_axis == "z":
-        x, y, z = points.xyz_mm.T
-        points = replace(points, xyz_mm=np.column_stack([x, z, -y]), up_axis="y")
-    return points
+    return points if up is None else points.with_up_axis(up)

@@ -90,6 +90,14 @@ class Points:
         frames = self.frames[(self.frames >= low) & (self.frames < high)]
         return replace(self.keep((self.frame >= low) & (self.frame < high)), frames=frames)
 
+    def with_up_axis(self, up: str) -> Points:
+        """The same points with another axis up, ``y`` or ``z``: (x, y, z) → (x, z, −y), or back."""
+        if up == self.up_axis:
+            return self
+        x, y, z = self.xyz_mm.T
+        turned = [x, z, -y] if up == "y" else [x, -z, y]
+        return replace(self, xyz_mm=np.column_stack(turned), up_axis=up)
+
     def slots(self) -> tuple[list[str], Ints]:
         """Trajectories for formats with one column per marker: their names, and the column of each row.
 

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from markerloom.errors import FormatError, InputError
 from markerloom.formats import table_file
+from markerloom.formats.c3d_file import Segments
 from markerloom.formats.files import read_text, write_text
 from markerloom.points import Points
 from markerloom.trajectories import Trajectories
@@ -78,6 +79,14 @@ class Poses:
                 "markers": self.markers,
             }
         )
+
+    def segments(self, frames: NDArray[np.int64]) -> Segments:
+        """The poses at all frames of a take, for its C3D."""
+        place, turn = np.full((len(frames), 1, 3), np.nan), np.full((len(frames), 1, 3, 3), np.nan)
+        row = np.searchsorted(frames, self.frame)
+        place[row, 0] = self.position_mm
+        turn[row, 0] = Rotation.from_quat(self.quaternion.reshape(-1, 4)).as_matrix()
+        return Segments([self.body], place, turn)
 
     def save(self, path: str | Path) -> None:
         """Write the table as .parquet or .csv."""

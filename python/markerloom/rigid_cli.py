@@ -10,6 +10,7 @@ import typer
 
 from markerloom import formats
 from markerloom import report as reports
+from markerloom.formats import c3d_file
 from markerloom.rigid_body import create_rigid_body, read_rigid_body, track_rigid_body, write_rigid_body
 
 rigid_app = typer.Typer(no_args_is_help=True, help="Rigid bodies: props, tools, plates.", rich_markup_mode=None)
@@ -56,7 +57,7 @@ def create(
 def track(
     take: Take,
     body: Annotated[Path, typer.Option("--body", help="BODY.toml, or a wand of at least three markers.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Poses: .parquet or .csv")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Poses: .parquet or .csv; .c3d: the take with them")],
     report: ReportFile = None,
     quiet: Quiet = False,
 ) -> None:
@@ -66,7 +67,10 @@ def track(
     """
     points = formats.read_points(take)
     poses = track_rigid_body(points, read_rigid_body(body))
-    poses.save(output)
+    if formats.ending(output) == ".c3d":
+        c3d_file.write(points, output, segments=poses.segments(points.frames))
+    else:
+        poses.save(output)
     share = len(poses.frame) / max(len(points.frames), 1)
     if report is not None:
         reports.save(reports.of_run([take, body], {}, {"frames": len(points.frames), "posed": share}), report)

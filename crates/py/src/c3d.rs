@@ -137,6 +137,16 @@ impl PyC3d {
         Ok(())
     }
 
+    /// Replaces all rotations (`n_frames`, per frame, 17): 4×4 matrices, column by column, and a reliability.
+    fn set_rotations(&mut self, values: PyReadonlyArray3<'_, f64>) -> PyResult<()> {
+        let values = values.as_array();
+        if values.dim().0 != self.inner.n_frames || values.dim().2 != 17 {
+            return Err(BytesError::new_err("rotations have 17 numbers for each segment in each frame of the file"));
+        }
+        self.inner.rotations = values.iter().map(|&v| v as f32).collect();
+        Ok(())
+    }
+
     /// The strings of NAME, NAME2, … of a group.
     fn strings(&self, group: &str, name: &str) -> Vec<String> {
         self.inner.long_strings(group, name)

@@ -11,9 +11,16 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from markerloom.errors import FormatError, InputError
-from markerloom.formats.files import read_bytes, write_bytes
+from markerloom.formats.files import read_bytes, read_text, write_bytes
 
 NULLS = ["", "NA", "NaN", "nan", "null"]
+
+
+def columns(path: str | Path) -> list[str]:
+    """The names of a table's columns, without reading its rows."""
+    if Path(path).suffix == ".parquet":
+        return read(path).column_names
+    return [name.strip().strip('"') for name in read_text(path).partition("\n")[0].split(",")]
 
 
 def read(path: str | Path) -> pa.Table:

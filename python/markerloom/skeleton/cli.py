@@ -10,13 +10,15 @@ import typer
 from markerloom import formats
 from markerloom import report as reports
 from markerloom.errors import InputError
+from markerloom.points import Points
 from markerloom.skeleton.contacts import read_contacts, write_contacts
 from markerloom.skeleton.definition import LEVELS, read_skeleton
 from markerloom.skeleton.files import MOTIONS_WRITTEN, PRESETS, RESTS, write_motion
 from markerloom.skeleton.fitting import Wearer
+from markerloom.skeleton.mvnx import SegmentPoses
 from markerloom.skeleton.page import save_motion_page
 from markerloom.skeleton.placing import read_hints
-from markerloom.skeleton.segment_poses import read_segment_poses, solve_segments
+from markerloom.skeleton.segment_poses import is_segment_poses, read_segment_poses, solve_segments
 from markerloom.skeleton.takes import Solved
 from markerloom.skeleton.takes import solve as run_solve
 from markerloom.skeleton.wearer import has_markers, read_wearer, write_wearer
@@ -26,7 +28,7 @@ ReportFile = Annotated[Path | None, typer.Option("--report", help="Write a repor
 
 
 def solve(
-    take: Annotated[Path, typer.Argument(help="Named points (.c3d, .trc, .parquet, .csv), or segments' poses (.mvnx)")],
+    take: Annotated[Path, typer.Argument(help="Named points (.c3d, .trc, .parquet, .csv), or segments' poses alone")],
     output: Annotated[Path, typer.Option("-o", "--output", help=", ".join(MOTIONS_WRITTEN))],
     skeleton: Annotated[str, typer.Option(help=f"{', '.join(LEVELS)}, or a .toml, .bvh or .asf")] = "hanim-loa1",
     subject: Annotated[Path | None, typer.Option(help="SUBJECT.toml: says which marker is on which segment.")] = None,
@@ -34,6 +36,7 @@ def solve(
     hints: Annotated[Path | None, typer.Option(help="TOML that says which markers are on which segment.")] = None,
     fit_from: Annotated[Path | None, typer.Option("--fit-from", help="Fit to this take: a ROM, a static pose.")] = None,
     skeleton_out: Annotated[Path | None, typer.Option("--skeleton-out", help="Keep the fitted skeleton: .toml")] = None,
+    poses: Annotated[Path | None, typer.Option(help="Sensors on segments: .mvnx, .c3d, or a table of poses.")] = None,
     contacts: Annotated[Path | None, typer.Option(help="Feet that stand, from this table.")] = None,
     contacts_out: Annotated[Path | None, typer.Option("--contacts-out", help="Write that table, to edit it.")] = None,
     hold_feet: Annotated[bool, typer.Option("--hold-feet/--no-hold-feet", help="Keep standing feet in place.")] = True,
@@ -49,7 +52,7 @@ def solve(
     report: ReportFile = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Make a moving skeleton with constant bones from named markers.
+    """Make a moving skeleton with constant bones from named markers, sensors on segments, or both.
 
     Example: markerloom solve filled.c3d -o take.bvh
     """
@@ -57,22 +60,28 @@ def solve(
     if output.suffix.lower() not in MOTIONS_WRITTEN:
         raise typer.BadParameter(f"{output}: motions are written as {', '.join(MOTIONS_WRITTEN)}")
     style = {"units": units, "up": up, "order": order, "rest": rest, "radians": radians, "preset": preset}
-    if take.suffix.lower() == ".mvnx":
-        motion = solve_segments(read_segment_poses(take))
-        written = write_motion(motion, output, **style)  # pyright: ignore[reportArgumentType]
+    if is_segment_poses(take):
+        motion = solve_segments(_poses(take, skeleton, rate_hz))
         _finish([take], options, {"frames": len(motion), "joints": len(motion.skeleton)}, report)
-        _say(quiet, f"{len(motion)} frames, {len(motion.skeleton)} joints → {_names(written)}")
+        _say(
+            quiet,
+            f"{len(motion)} frames, {len(motion.skeleton)} joints → {_names(write_motion(motion, output, **style))}",
+        )  # pyright: ignore[reportArgumentType]
         return
-    solved = _solved(take, skeleton, subject, marker_set, hints, fit_from, contacts, hold_feet, person, rate_hz)
+    points = formats.read_points(take)
+    sensors = None if poses is None else _poses(poses, skeleton, rate_hz or points.rate_hz)
+    solved = _solved(
+        points, skeleton, subject, marker_set, hints, fit_from, contacts, hold_feet, person, rate_hz, sensors
+    )
     glued = list(zip(solved.wearer.markers, solved.wearer.joints, solved.wearer.places_m, strict=True))
-    written = write_motion(solved.motion, output, markers=glued, **style)  # pyright: ignore[reportArgumentType]
+    written = write_motion(solved.motion, output, markers=glued, take=points, **style)  # pyright: ignore[reportArgumentType]
     if skeleton_out is not None:
         write_wearer(solved.wearer, skeleton_out)
     if contacts_out is not None:
         write_contacts(solved.contacts, contacts_out)
     if page is not None:
         save_motion_page(solved, page)
-    _finish([p for p in (take, subject, hints, fit_from, contacts) if p], options, solved.report, report)
+    _finish([p for p in (take, subject, hints, fit_from, poses, contacts) if p], options, solved.report, report)
     off = solved.report["residual_mm"]
     for text in solved.report["warnings"]:
         _say(quiet, f"warning: {text}", err=True)
@@ -83,8 +92,13 @@ def solve(
     )
 
 
+def _poses(path: Path, skeleton: str, rate_hz: float | None) -> SegmentPoses:
+    body = read_wearer(skeleton) if has_markers(skeleton) else read_skeleton(skeleton)
+    return read_segment_poses(path, body.skeleton if isinstance(body, Wearer) else body, rate_hz)
+
+
 def _solved(
-    take: Path,
+    points: Points,
     skeleton: str,
     subject: Path | None,
     marker_set: str | None,
@@ -94,6 +108,7 @@ def _solved(
     hold_feet: bool,
     person: str | None,
     rate_hz: float | None,
+    poses: SegmentPoses | None,
 ) -> Solved:
     if sum(v is not None for v in (subject, marker_set, hints)) > 1:
         raise InputError("--subject, --marker-set and --hints say the same thing: give one of them")
@@ -106,13 +121,14 @@ def _solved(
     bones = body.skeleton if isinstance(body, Wearer) else body
     held = hold_feet if contacts is None else read_contacts(contacts, bones)
     return run_solve(
-        formats.read_points(take),
+        points,
         body,
         known=known,
         fit_from=None if fit_from is None else formats.read_points(fit_from),
         contacts=held,
         person=person,
         rate_hz=rate_hz,
+        poses=poses,
     )
 
 

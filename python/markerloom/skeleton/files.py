@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from markerloom.errors import InputError
 from markerloom.formats import write_points
-from markerloom.skeleton import asf_amc, bvh, glb, osim, tables, usd
+from markerloom.points import Points
+from markerloom.skeleton import asf_amc, bvh, c3d_motion, glb, osim, tables, usd
 from markerloom.skeleton.motion import Z_UP_TO_Y_UP, Motion, rest_of, turned, with_rest
 from markerloom.skeleton.skeleton import Skeleton
 
@@ -137,11 +138,13 @@ def write_motion(
     radians: bool = False,
     preset: str | None = None,
     markers: osim.Glued = (),
+    take: Points | None = None,
 ) -> list[Path]:
     """Write a motion by its ending; returns the files written.
 
     ``units``: of lengths (cm), ``up``: the axis (y), ``order``: of the Euler angles of a BVH, such as ZXY, ``rest``:
-    t-pose, a-pose or i-pose; what is not said comes from the ``preset``. ``markers``: for .osim.
+    t-pose, a-pose or i-pose; what is not said comes from the ``preset``. ``markers``: for .osim; ``take``: whose
+    markers .trc and .c3d show beside the joints.
     """
     kind = Path(path).suffix.lower()
     if kind not in MOTIONS_WRITTEN:
@@ -156,7 +159,13 @@ def write_motion(
             raise InputError(f"an order of angles is X, Y and Z in some order, not '{order}'")
         motion = replace(motion, skeleton=replace(motion.skeleton, orders=(order.upper(),) * len(motion.skeleton)))
     if kind in POINTS_OF_JOINTS:
-        write_points(replace(tables.as_points(motion), up_axis=up or (style.up if preset else "z")), path)
+        joints = tables.as_points(motion)
+        points = joints if take is None else tables.with_markers(joints, take)
+        points = points.with_up_axis(up or (style.up if preset else "z"))
+        if kind == ".c3d":
+            c3d_motion.write(motion, points, path)
+        else:
+            write_points(points, path)
         return [Path(path)]
     if kind in TABLES:
         tables.write(motion, path)

@@ -44,7 +44,7 @@ def joint_angles(motion: Motion) -> dict[str, list[tuple[str, Array]]]:
     """For joints that move a segment of the body: three names and angles (frames; deg)."""
     skeleton = motion.skeleton
     turn, _ = motion.segments()
-    hanging = _hanging(skeleton)
+    hanging = arms_hanging(skeleton)
     out: dict[str, list[tuple[str, Array]]] = {}
     for segment, joint in skeleton.segments.items():
         side, _, part = segment.partition("_")
@@ -71,9 +71,9 @@ def _above(skeleton: Skeleton, segment: str, joint: int) -> int:
     return skeleton.segments.get("thorax", skeleton.parents[joint]) if segment == "head" else skeleton.parents[joint]
 
 
-def _hanging(skeleton: Skeleton) -> Array:
-    """Turns of the segments' axes that make the arms hang in the rest pose (joints, 3, 3): the arms of a T-pose are
-    turned down about the back axis.
+def arms_hanging(skeleton: Skeleton) -> Array:
+    """Turns of the segments' axes that make the arms hang in the rest pose (joints, 3, 3), for `with_rest`: the arms of
+    a T-pose are turned down about the back axis.
     """
     out = np.tile(np.eye(3), (len(skeleton), 1, 1))
     for side, sign in (("left", 1.0), ("right", -1.0)):

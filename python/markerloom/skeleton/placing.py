@@ -23,7 +23,7 @@ PARTS = {
     "head": "head skull",
     "clavicle": "clavicle clav scapula shoulder collar",
     "upper_arm": "upper_arm upperarm humerus arm uarm",
-    "forearm": "forearm fore_arm lower_arm lowerarm radius ulna farm",
+    "forearm": "forearm fore_arm lower_arm lowerarm radius ulna farm larm",
     "hand": "hand wrist",
     "thigh": "thigh femur up_leg upleg upper_leg upperleg",
     "shank": "shank tibia shin calf leg low_leg lower_leg lowerleg",

@@ -1,8 +1,8 @@
 """Solving from places and orientations of segments: inertial or electromagnetic sensors, and rigid bodies.
 
 A table of poses has a row per frame and segment: `frame, segment, x_mm, y_mm, z_mm, qx, qy, qz, qw`; places may be
-missing, turns too. `Distortion` is the smooth field by which an electromagnetic tracker is wrong, fitted against an
-optical reference.
+missing, turns too. Tables of motions and of rigid bodies are such tables. `Distortion` is the smooth field by which an
+electromagnetic tracker is wrong, fitted against an optical reference.
 """
 
 from __future__ import annotations
@@ -17,39 +17,42 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.transform import Rotation
 
 from markerloom.errors import FormatError, InputError
-from markerloom.formats import TABLE_ENDINGS, ending, table_file
-from markerloom.skeleton import mvnx
+from markerloom.formats import TABLE_ENDINGS, c3d_file, ending, table_file
+from markerloom.skeleton import c3d_motion, mvnx
 from markerloom.skeleton.fitting import Wearer, figure_of
 from markerloom.skeleton.motion import Motion, turns_of
+from markerloom.skeleton.mounts import PLACE_SIGMA_M, TURN_SIGMA_RAD
 from markerloom.skeleton.mvnx import SegmentPoses
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
-PLACE_SIGMA_M, TURN_SIGMA_RAD = 0.005, np.deg2rad(1.0)
-"""How far sensors' places and turns are trusted where nothing else is said."""
-COLUMNS = ("frame", "segment", "qx", "qy", "qz", "qw")
+NAMES = ("segment", "joint", "body")
+"""Columns that name the segments: of sensors, of a table of a motion, of rigid bodies."""
+TELL_SKELETON = (".mvnx", ".c3d")
+COLUMNS = ("frame", "qx", "qy", "qz", "qw")
 
 
 def read_segment_poses(
     path: str | Path, skeleton: Skeleton | None = None, rate_hz: float | None = None
 ) -> SegmentPoses:
-    """Poses from .mvnx, or from a table for the segments of a skeleton."""
-    if ending(path) == ".mvnx":
-        return mvnx.read(path)
+    """Poses from .mvnx or a .c3d, which tell their skeleton, or from a table for the segments of ``skeleton``."""
+    if ending(path) in TELL_SKELETON:
+        return mvnx.read(path) if ending(path) == ".mvnx" else c3d_motion.read(path)
     if ending(path) not in TABLE_ENDINGS:
-        raise InputError(f"poses of segments are .mvnx, .parquet or .csv ({path})")
+        raise InputError(f"poses of segments are .mvnx, .c3d, .parquet or .csv ({path})")
     if skeleton is None:
         raise InputError(f"a table of poses needs a skeleton: --skeleton ({path})")
     table = table_file.read(path)
-    if not set(COLUMNS) <= set(table.column_names):
-        raise FormatError(path, f"a table of poses has the columns {', '.join(COLUMNS)} and x_mm, y_mm, z_mm")
-    rate = rate_hz or float((table.schema.metadata or {}).get(b"rate_hz", b"0") or 0)
+    names = next((c for c in NAMES if c in table.column_names), "")
+    if not names or not set(COLUMNS) <= set(table.column_names):
+        raise FormatError(path, f"a table of poses has the columns segment, {', '.join(COLUMNS)} and x_mm, y_mm, z_mm")
+    rate = float((table.schema.metadata or {}).get(b"rate_hz", b"0") or 0) or rate_hz
     if not rate:
         raise InputError(f"the table has no frame rate: say --rate-hz ({path})")
     frame = table["frame"].to_numpy().astype(np.int64)
-    joint = np.array([skeleton.index(str(s)) for s in table["segment"].to_pylist()])
+    joint = np.array([skeleton.index(str(s)) for s in table[names].to_pylist()])
     if (joint < 0).any():
-        unknown = table["segment"].to_pylist()[int(np.argmax(joint < 0))]
+        unknown = table[names].to_pylist()[int(np.argmax(joint < 0))]
         raise InputError(f"{path}: skeleton '{skeleton.name}' has no segment '{unknown}'")
     first, last = int(frame.min()), int(frame.max())
     place = np.full((last - first + 1, len(skeleton), 3), np.nan)
@@ -61,6 +64,17 @@ def read_segment_poses(
         xyz = np.column_stack([table[c].to_numpy() for c in ("x_mm", "y_mm", "z_mm")]).astype(float)
         place[frame - first, joint] = xyz / 1000.0
     return SegmentPoses(skeleton, place, turn, rate, first_frame=first, source=str(path))
+
+
+def is_segment_poses(path: str | Path) -> bool:
+    """Whether a file holds poses of segments and no points: .mvnx, a table of poses, a .c3d with a group ROTATION."""
+    kind = ending(path)
+    if kind == ".c3d":
+        return c3d_file.has_segments(path) and not len(c3d_file.read(path))
+    if kind in TABLE_ENDINGS:
+        columns = table_file.columns(path)
+        return set(COLUMNS) <= set(columns) and any(c in columns for c in NAMES)
+    return kind == ".mvnx"
 
 
 def solve_segments(

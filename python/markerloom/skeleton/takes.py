@@ -16,6 +16,8 @@ from markerloom.skeleton.contacts import FEET, Contact, find_contacts, pins_of, 
 from markerloom.skeleton.definition import read_skeleton
 from markerloom.skeleton.fitting import Wearer, fit_skeleton
 from markerloom.skeleton.motion import Motion, angles, turns_of
+from markerloom.skeleton.mounts import Mounts, Pin, Turn, at_frames_of, held_by, learn_mounts
+from markerloom.skeleton.mvnx import SegmentPoses
 from markerloom.skeleton.placing import Hints
 from markerloom.skeleton.skeleton import Skeleton
 from markerloom.subjects.marker_set import MarkerSet
@@ -53,13 +55,14 @@ def solve(
     contacts: bool | list[Contact] | TellsContacts = True,
     person: str | None = None,
     rate_hz: float | None = None,
+    poses: SegmentPoses | None = None,
 ) -> Solved:
-    """The motion of a skeleton under the take's named markers.
+    """The motion of a skeleton under the take's named markers, and under the poses of sensors on its segments.
 
     The skeleton is fitted to the take itself, or to ``fit_from`` (a range of motion or a static pose); a ``Wearer``
     that was fitted before is used as it is. ``known``: hints or a marker set where names do not say which;
-    ``contacts``: feet that stand are held (found, as given, or as a function tells of the motion). Raises
-    ``InputError`` where nobody can be solved for.
+    ``contacts``: feet that stand are held (found, as given, or as a function tells of the motion). ``poses``: how the
+    sensors sit is learned from the take (see `mounts`). Raises ``InputError`` where nobody can be solved for.
     """
     rate = rate_hz or points.rate_hz
     if not rate:
@@ -77,14 +80,41 @@ def solve(
     first = Motion(
         wearer.skeleton, np.zeros((0, 3)), np.zeros((0, 0, 3, 3)), rate, int(frames[0]), source=points.source
     )
-    poses, certain = figure.solve(worn_m, 1.0 / rate, [], [], None)
-    motion = _motion(wearer, first, worn_m, poses, certain)
+    found, certain = figure.solve(worn_m, 1.0 / rate, [], [], None)
+    told = _told(wearer, worn_m)
+    motion = _motion(wearer, first, told, found, certain)
+    sensed: tuple[list[Pin], list[Turn]] = ([], [])
+    mounts = None
+    if poses is not None:
+        poses = at_frames_of(poses, frames, rate)
+        mounts = learn_mounts(poses, motion)
+        sensed = held_by(mounts, poses)
+        for frame, joint, *_ in sensed[1]:
+            told[frame, joint] = True
+        found, certain = figure.solve(worn_m, 1.0 / rate, *sensed, found)
+        motion = _motion(wearer, first, told, found, certain)
     held = _held(motion, contacts)
     if held:
-        poses, certain = figure.solve(worn_m, 1.0 / rate, pins_of(motion, held), [], poses)
-        motion = _motion(wearer, first, worn_m, poses, certain)
+        found, certain = figure.solve(worn_m, 1.0 / rate, sensed[0] + pins_of(motion, held), sensed[1], found)
+        motion = _motion(wearer, first, told, found, certain)
     off_mm = 1000.0 * residuals_m(wearer, motion, worn_m)
-    return Solved(motion, wearer, held, off_mm, _report(wearer, motion, held, off_mm, names))
+    report = _report(wearer, motion, held, off_mm, names) | _of_sensors(wearer, mounts)
+    return Solved(motion, wearer, held, off_mm, report)
+
+
+def _of_sensors(wearer: Wearer, mounts: Mounts | None) -> dict[str, Any]:
+    """How firmly each sensor was believed."""
+    if mounts is None:
+        return {}
+    return {
+        "sensors": {
+            wearer.skeleton.joints[m.joint]: {
+                "sigma_deg": float(np.rad2deg(m.sigma_rad)),
+                "sigma_mm": 1000.0 * m.sigma_m if np.isfinite(m.sigma_m) else None,
+            }
+            for m in mounts.each
+        }
+    }
 
 
 def _held(motion: Motion, contacts: bool | list[Contact] | TellsContacts) -> list[Contact]:
@@ -118,25 +148,27 @@ def _columns(wearer: Wearer, names: list[str], xyz_m: Array, source: str) -> Arr
     return out
 
 
-def _motion(wearer: Wearer, like: Motion, worn_m: Array, poses: _core.Poses, certain: tuple[Array, Array]) -> Motion:
+def _motion(
+    wearer: Wearer, like: Motion, told: NDArray[np.bool_], poses: _core.Poses, certain: tuple[Array, Array]
+) -> Motion:
     return replace(
         like,
         root_m=poses[0],
         turns=turns_of(wearer.skeleton, poses),
         sigma_mm=1000.0 * certain[0],
-        kind=_inferred(wearer, worn_m).astype(np.int64),
+        kind=(~told).astype(np.int64),
     )
 
 
-def _inferred(wearer: Wearer, worn_m: Array) -> NDArray[np.bool_]:
-    """Where no marker at or below a joint tells its turn (frames, joints)."""
+def _told(wearer: Wearer, worn_m: Array) -> NDArray[np.bool_]:
+    """Where markers at or below a joint tell its turn (frames, joints)."""
     told = np.zeros((len(worn_m), len(wearer.skeleton)), bool)
     there = np.asarray(np.isfinite(worn_m).all(axis=2))
     for m, joint in enumerate(wearer.joints):
         told[:, joint] |= there[:, m]
     for j in range(len(wearer.skeleton) - 1, 0, -1):
         told[:, wearer.skeleton.parents[j]] |= told[:, j]
-    return ~told
+    return told
 
 
 def residuals_m(wearer: Wearer, motion: Motion, worn_m: Array) -> Array:
