@@ -201,7 +201,15 @@ class Figure:
         step_s: float,
         pins: Sequence[tuple[int, int, Sequence[float], Sequence[float], float]],
         orientations: Sequence[tuple[int, int, Sequence[float], float]],
-        poses: Poses | None,
+    ) -> tuple[Poses, tuple[Floats, Floats]]: ...
+    def hold(
+        self,
+        xyz_m: Floats,
+        step_s: float,
+        pins: Sequence[tuple[int, int, Sequence[float], Sequence[float], float]],
+        orientations: Sequence[tuple[int, int, Sequence[float], float]],
+        poses: Poses,
+        holds: Sequence[tuple[int, int, Sequence[float], Sequence[float], float]],
     ) -> tuple[Poses, tuple[Floats, Floats]]: ...
     def fit(
         self,

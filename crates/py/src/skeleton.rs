@@ -2,9 +2,10 @@
 
 use crate::errors::RigError;
 use markerloom_core::skeleton::fit::{Known, fit as engine_fit};
+use markerloom_core::skeleton::hold::hold;
 use markerloom_core::skeleton::kinematics::vector_of;
 use markerloom_core::skeleton::solve::{Orientation, Pin, residuals};
-use markerloom_core::skeleton::take::{Follower, Seen, solve_take};
+use markerloom_core::skeleton::take::{Follower, Frame, Seen, solve_take};
 use markerloom_core::skeleton::{Figure, Joint, Marker, Pose};
 use nalgebra::{Rotation3, Vector3};
 use numpy::ndarray::{Array2, Array3, ArrayView1, ArrayView2};
@@ -78,6 +79,28 @@ impl PyFigure {
         }
         Ok(frames)
     }
+
+    /// Poses, and how certain those frames are that say it.
+    fn as_solved<'a, 'py>(
+        &self,
+        py: Python<'py>,
+        each: impl ExactSizeIterator<Item = (&'a Pose, Option<&'a Frame>)>,
+    ) -> (Poses<'py>, Certain<'py>) {
+        let n = self.inner.joints.len();
+        let mut place = Array2::from_elem((each.len(), n), f64::NAN);
+        let mut turn = Array3::from_elem((each.len(), n, 3), f64::NAN);
+        let mut poses = Vec::with_capacity(each.len());
+        for (f, (pose, frame)) in each.enumerate() {
+            poses.push(pose);
+            let Some(certain) = frame.and_then(|f| f.certainty.as_ref()) else { continue };
+            for j in 0..n {
+                place[(f, j)] = certain.joint_m2[j].max(0.0).sqrt();
+                let own = if j == 0 { certain.root_rad2 } else { certain.turn_rad2[j] };
+                (0..3).for_each(|k| turn[(f, j, k)] = own[k].max(0.0).sqrt());
+            }
+        }
+        (as_arrays(py, &poses, n), (place.into_pyarray(py), turn.into_pyarray(py)))
+    }
 }
 
 #[pymethods]
@@ -150,24 +173,32 @@ impl PyFigure {
         step_s: f64,
         pins: Pins,
         orientations: Orientations,
-        poses: Option<GivenPoses<'py>>,
     ) -> PyResult<(Poses<'py>, Certain<'py>)> {
         let frames = self.seen(&xyz_m, pins, orientations)?;
-        let known = poses.map(|given| as_poses(&given, frames.len()));
-        let solved = py.detach(|| solve_take(&self.inner, step_s, &frames, known));
-        let n = self.inner.joints.len();
-        let mut place = Array2::from_elem((solved.len(), n), f64::NAN);
-        let mut turn = Array3::from_elem((solved.len(), n, 3), f64::NAN);
-        for (f, frame) in solved.iter().enumerate() {
-            let Some(certain) = &frame.certainty else { continue };
-            for j in 0..n {
-                place[(f, j)] = certain.joint_m2[j].max(0.0).sqrt();
-                let own = if j == 0 { certain.root_rad2 } else { certain.turn_rad2[j] };
-                (0..3).for_each(|k| turn[(f, j, k)] = own[k].max(0.0).sqrt());
-            }
-        }
-        let poses: Vec<&Pose> = solved.iter().map(|f| &f.pose).collect();
-        Ok((as_arrays(py, &poses, n), (place.into_pyarray(py), turn.into_pyarray(py))))
+        let solved = py.detach(|| solve_take(&self.inner, step_s, &frames));
+        Ok(self.as_solved(py, solved.iter().map(|f| (&f.pose, Some(f)))))
+    }
+
+    /// Places held in a take that is solved already (`poses`, under the same markers, pins and orientations): as
+    /// `solve`, with `holds` as pins; certainties of frames in which nothing is held are NaN.
+    #[expect(clippy::too_many_arguments, reason = "all that the poses know, and the holds")]
+    fn hold<'py>(
+        &self,
+        py: Python<'py>,
+        xyz_m: PyReadonlyArray3<'py, f64>,
+        step_s: f64,
+        pins: Pins,
+        orientations: Orientations,
+        poses: GivenPoses<'py>,
+        holds: Pins,
+    ) -> PyResult<(Poses<'py>, Certain<'py>)> {
+        let frames = self.seen(&xyz_m, pins, orientations)?;
+        let held: Vec<Vec<Pin>> = self.seen(&xyz_m, holds, Vec::new())?.into_iter().map(|f| f.pins).collect();
+        let known = as_poses(&poses, frames.len());
+        let solved = py.detach(|| hold(&self.inner, step_s, &frames, &known, &held));
+        let each =
+            known.iter().zip(&solved).map(|(pose, frame)| (frame.as_ref().map_or(pose, |f| &f.pose), frame.as_ref()));
+        Ok(self.as_solved(py, each))
     }
 
     /// Poses of frames that know nothing of each other.

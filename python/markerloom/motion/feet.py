@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from markerloom.errors import InputError
 from markerloom.motion.body import SIDES, Body
-from markerloom.skeleton.contacts import FEET, LOW_M, SLOW_M_PER_S, STANDS_S, STAYS_M, runs
+from markerloom.skeleton.contacts import FEET, LOW_M, SLOW_M_PER_S, STANDS_S, runs
 from markerloom.skeleton.motion import Motion
 from markerloom.skeleton.skeleton import Site, Skeleton
 
@@ -26,6 +26,8 @@ USUAL_LEG_M = 0.84
 """Distances and speeds of standing feet are those of somebody with legs of this length."""
 STANDS_M_PER_S = 0.12
 """At the beginning and at the end of a stance a place is slower than this."""
+STAYS_M = 0.015
+"""While it stands, all its places are within this."""
 STEADIER = np.array([1.0, 1.0, 3.0])
 """A place that stands moves less upwards than sideways: a heel that rises has begun to leave the floor."""
 SLOWER = 2.0

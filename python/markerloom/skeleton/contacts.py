@@ -25,8 +25,8 @@ Pin = tuple[int, int, list[float], list[float], float]
 FEET = ("heel", "ball")
 SLOW_M_PER_S, LOW_M = 0.20, 0.035
 """A place that stands moves less than this, and is not higher above its lowest than this."""
-STAYS_M = 0.015
-"""While it stands, all its places are within this."""
+STAYS_M = 0.010
+"""While it stands, all its places are within this: holding it moves it by less."""
 STANDS_S, FADES_S = 0.12, 0.12
 """It stands at least so long; before and after, the hold fades over so long (s)."""
 HELD_M, FADING_M, LOOSE_M = 1e-4, 0.003, 0.05
@@ -55,7 +55,7 @@ def find_contacts(motion: Motion) -> list[Contact]:
         out += [
             Contact(site.name, motion.first_frame + a, motion.first_frame + b)
             for first, last in runs(low & (speed < SLOW_M_PER_S) & _told(motion, site.joint))
-            for a, b in _in_place(places[first:last, i, :2], first)
+            for a, b in _in_place(places[first:last, i], first)
             if b - a >= STANDS_S * motion.rate_hz
         ]
     return sorted(out, key=lambda c: (c.start, c.site))
@@ -68,16 +68,16 @@ def _told(motion: Motion, joint: int) -> NDArray[np.bool_]:
     return np.asarray(motion.kind[:, joint] == 0)
 
 
-def _in_place(flat: Array, first: int) -> list[tuple[int, int]]:
-    """Parts of a slow stretch (frames, 2) within which the place stays where it is: a foot that creeps is not held."""
+def _in_place(places: Array, first: int) -> list[tuple[int, int]]:
+    """Parts of a slow stretch (frames, 3) within which the place stays where it is: what creeps is not held."""
     out, start = [], 0
-    low = high = flat[0]
-    for f, here in enumerate(flat):
+    low = high = places[0]
+    for f, here in enumerate(places):
         low, high = np.minimum(low, here), np.maximum(high, here)
         if np.linalg.norm(high - low) > STAYS_M:
             out.append((first + start, first + f))
             start, low, high = f, here, here
-    return [*out, (first + start, first + len(flat))]
+    return [*out, (first + start, first + len(places))]
 
 
 def _smooth(places: Array, rate_hz: float) -> Array:

@@ -104,7 +104,7 @@ def solve_segments(
     turns = [(int(f), int(j), v.tolist(), turn_sigma_rad) for (f, j), v in zip(at, vectors, strict=True)]
     if not pins and not turns:
         raise InputError(f"no segment has a pose ({poses.source})")
-    solved, (sigma_m, _) = figure.solve(worn_m, 1.0 / poses.rate_hz, pins, turns, None)
+    solved, (sigma_m, _) = figure.solve(worn_m, 1.0 / poses.rate_hz, pins, turns)
     told = np.asarray(np.isfinite(poses.turn).all(axis=(2, 3)))
     return Motion(
         skeleton,

@@ -80,7 +80,7 @@ def solve(
     first = Motion(
         wearer.skeleton, np.zeros((0, 3)), np.zeros((0, 0, 3, 3)), rate, int(frames[0]), source=points.source
     )
-    found, certain = figure.solve(worn_m, 1.0 / rate, [], [], None)
+    found, certain = figure.solve(worn_m, 1.0 / rate, [], [])
     told = _told(wearer, worn_m)
     motion = _motion(wearer, first, told, found, certain)
     sensed: tuple[list[Pin], list[Turn]] = ([], [])
@@ -91,12 +91,13 @@ def solve(
         sensed = held_by(mounts, poses)
         for frame, joint, *_ in sensed[1]:
             told[frame, joint] = True
-        found, certain = figure.solve(worn_m, 1.0 / rate, *sensed, found)
+        found, certain = figure.solve(worn_m, 1.0 / rate, *sensed)
         motion = _motion(wearer, first, told, found, certain)
     held = _held(motion, contacts)
     if held:
-        found, certain = figure.solve(worn_m, 1.0 / rate, sensed[0] + pins_of(motion, held), sensed[1], found)
-        motion = _motion(wearer, first, told, found, certain)
+        found, closer = figure.hold(worn_m, 1.0 / rate, *sensed, found, pins_of(motion, held))
+        place, turn = (np.where(np.isnan(new), old, new) for old, new in zip(certain, closer, strict=True))
+        motion = _motion(wearer, first, told, found, (place, turn))
     off_mm = 1000.0 * residuals_m(wearer, motion, worn_m)
     report = _report(wearer, motion, held, off_mm, names) | _of_sensors(wearer, mounts)
     return Solved(motion, wearer, held, off_mm, report)

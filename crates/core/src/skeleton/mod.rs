@@ -7,6 +7,7 @@
 
 pub mod certainty;
 pub mod fit;
+pub mod hold;
 pub mod kinematics;
 pub mod normal;
 pub mod series;

@@ -403,7 +403,7 @@ fn squares<'a>(figure: &'a Figure, all: &'a [Segment], evidence: Evidence<'a>) -
 }
 
 /// How far the frame's markers typically are from the pose, in their own standard deviations.
-fn spread(figure: &Figure, pose: &Pose, evidence: Evidence<'_>) -> f64 {
+pub(super) fn spread(figure: &Figure, pose: &Pose, evidence: Evidence<'_>) -> f64 {
     let all = segments(&figure.joints, pose);
     let mut squares: Vec<f64> = squares(figure, &all, evidence).collect();
     if squares.is_empty() {

@@ -40,7 +40,7 @@ pub struct Seen {
 }
 
 impl Seen {
-    fn evidence(&self) -> Evidence<'_> {
+    pub(super) fn evidence(&self) -> Evidence<'_> {
         Evidence { markers_m: &self.markers_m, pins: &self.pins, orientations: &self.orientations }
     }
 
@@ -248,24 +248,20 @@ fn depth(figure: &Figure, joint: usize) -> f64 {
     1.0 / (moving * moving) as f64
 }
 
-/// A whole take. Frames before anything was seen get the first pose that was found. `known`: poses to start from, such as
-/// those of the same take before feet were held.
-pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen], known: Option<Vec<Pose>>) -> Vec<Frame> {
+/// Joints that pins and orientations name.
+pub(super) fn joints_of(frames: &[Seen]) -> Vec<usize> {
     let also = frames.iter().flat_map(|f| f.pins.iter().map(|p| p.joint).chain(f.orientations.iter().map(|o| o.joint)));
     let mut also: Vec<usize> = also.collect();
     also.sort_unstable();
     also.dedup();
+    also
+}
+
+/// A whole take. Frames before anything was seen get the first pose that was found.
+pub fn solve_take(figure: &Figure, step_s: f64, frames: &[Seen]) -> Vec<Frame> {
+    let also = joints_of(frames);
     let mut solver = Solver::of(figure, also.iter().copied());
-    let poses = match known {
-        None => followed(figure, step_s, frames, &also),
-        Some(poses) => {
-            let near = |(seen, pose): (&Seen, Pose)| {
-                let prior = around(figure, step_s, &pose);
-                solver.solve(figure, pose, seen.evidence(), Some(&prior)).pose
-            };
-            frames.iter().zip(poses).map(near).collect()
-        }
-    };
+    let poses = followed(figure, step_s, frames, &also);
     let mut round = Round::of(&mut solver, figure, step_s, frames, &poses);
     if round.misled {
         // Frames whose neighbours misled them were among the neighbours of others: once more from what came out.
@@ -427,19 +423,8 @@ fn told_alike(figure: &Figure, pose: &Pose, prior: &Prior) -> bool {
     (1..figure.joints.len()).all(|j| (pose.turns[j] - prior.pose.turns[j]).amax() < ALIKE_RAD)
 }
 
-/// A pose that is known to be nearly right.
-fn around(figure: &Figure, step_s: f64, pose: &Pose) -> Prior {
-    let turn = TURN_ACCELERATION * step_s * step_s;
-    Prior {
-        pose: pose.clone(),
-        turn_sd_rad: vec![Vector3::repeat(turn); figure.joints.len()],
-        root_sd_m: Vector3::repeat(ROOT_ACCELERATION * step_s * step_s),
-        root_sd_rad: turn,
-    }
-}
-
 /// For every frame, what the others say of it.
-fn neighbours(figure: &Figure, step_s: f64, poses: &[Pose], certain: &[Option<Certainty>]) -> Vec<Prior> {
+pub(super) fn neighbours(figure: &Figure, step_s: f64, poses: &[Pose], certain: &[Option<Certainty>]) -> Vec<Prior> {
     let n = poses.len();
     let mut priors: Vec<Prior> = poses
         .iter()
@@ -533,7 +518,7 @@ mod tests {
     fn a_take_without_noise_is_found_within_its_noise() {
         let figure = puppet();
         let (poses, all) = frames(&figure);
-        let solved = solve_take(&figure, 0.01, &all, None);
+        let solved = solve_take(&figure, 0.01, &all);
         for (found, truth) in solved.iter().zip(&poses) {
             assert!((hand(&figure, &found.pose) - hand(&figure, truth)).norm() < 1.5e-3);
         }
@@ -547,7 +532,7 @@ mod tests {
         for seen in &mut all[40..70] {
             seen.markers_m[3..9].fill(None);
         }
-        let solved = solve_take(&figure, 0.01, &all, None);
+        let solved = solve_take(&figure, 0.01, &all);
         let off = |t: usize| (hand(&figure, &solved[t].pose) - hand(&figure, &poses[t])).norm();
         assert!((40..70).map(off).fold(0.0, f64::max) < 0.05);
         let after = (72..100).map(off).fold(0.0, f64::max);
@@ -568,7 +553,7 @@ mod tests {
         for seen in &mut all[48..53] {
             seen.pins.push(Pin { joint: 4, place_m, target_m, sigma_m: 1e-4 });
         }
-        let solved = solve_take(&figure, 0.01, &all, None);
+        let solved = solve_take(&figure, 0.01, &all);
         for frame in &solved[48..53] {
             let at = segments(&figure.joints, &frame.pose)[4].place(&place_m);
             assert!((at - target_m).norm() < 1e-3);
