@@ -1,6 +1,6 @@
 """Trajectories of 3D points: hidden markers carried, and broken takes put together again. Needs ../shared/data.
 
-Run: python benches/points.py [hidden] [broken]      (both parts: about 10 minutes)
+Run: python benches/points.py [hidden] [started] [broken]      (all parts: about 10 minutes)
 """
 
 from __future__ import annotations
@@ -45,6 +45,24 @@ def spheres_error_mm(take: ml.Points, track: int, first: int, n: int) -> list[fl
     return errors
 
 
+def carried(
+    piece: ml.Points, track: int, first: int, known: ml.StartPose | None = None
+) -> tuple[list[float], list[float]]:
+    """A marker of a piece of a take hidden from frame ``first`` on: how far off it is carried (mm), and its sigmas."""
+    seen = piece.keep((piece.track != track) | (piece.frame < first))
+    tracked = ml.track(seen, causal=True, start_pose=known)
+    rows = np.flatnonzero((tracked.frame == first - 1) & (tracked.kind == 0))
+    where = piece.xyz_mm[(piece.track == track) & (piece.frame == first - 1)][0]
+    mine = tracked.track[rows[np.argmin(np.linalg.norm(tracked.xyz_mm[rows] - where, axis=1))]]
+    given = (tracked.track == mine) & (tracked.frame >= first) & (tracked.kind == 1)
+    truth = dict(zip(piece.frame[piece.track == track].tolist(), piece.xyz_mm[piece.track == track], strict=True))
+    error = [
+        float(np.linalg.norm(x - truth[f]))
+        for f, x in zip(tracked.frame[given].tolist(), tracked.xyz_mm[given], strict=True)
+    ]
+    return error, tracked.sigma_mm[given].tolist()
+
+
 def hidden(name: str, n: int) -> str:
     """One row: a marker hidden for ``n`` frames at 60 Hz, over many markers and times."""
     take = decimated(ml.read_points(DATA / "labelling" / f"{name}.c3d"), 2)
@@ -57,28 +75,43 @@ def hidden(name: str, n: int) -> str:
         if not all(f in own for f in range(first - 1, first + n)):
             continue
         piece = take.select(None, first + n)
-        seen = piece.keep((piece.track != track) | (piece.frame < first))
-        tracked = ml.track(seen, causal=True)
-        last = (tracked.frame == first - 1) & (tracked.kind == 0)
-        where = piece.xyz_mm[(piece.track == track) & (piece.frame == first - 1)][0]
-        rows = np.flatnonzero(last)
-        mine = tracked.track[rows[np.argmin(np.linalg.norm(tracked.xyz_mm[rows] - where, axis=1))]]
-        carried = (tracked.track == mine) & (tracked.frame >= first) & (tracked.kind == 1)
-        truth = dict(zip(take.frame[take.track == track].tolist(), take.xyz_mm[take.track == track], strict=True))
-        error = [
-            float(np.linalg.norm(x - truth[f]))
-            for f, x in zip(tracked.frame[carried].tolist(), tracked.xyz_mm[carried], strict=True)
-        ]
+        error, sigma = carried(piece, track, first)
         asked, covered = asked + n, covered + len(error)
         if error:
             rms.append(float(np.sqrt(np.mean(np.square(error)))))
-            ratios += list(np.square(np.array(error) / tracked.sigma_mm[carried]))
+            ratios += list(np.square(np.array(error) / sigma))
         spheres.append(float(np.sqrt(np.mean(np.square(spheres_error_mm(piece, track, first, n))))))
     return (
         f"{name:12} hidden {n:3} frames: mean rms {np.mean(rms):5.1f} mm (median {np.median(rms):5.1f})  "
         f"(error/sigma)² {np.mean(ratios):5.2f}  given {100 * covered / asked:5.1f} %  "
         f"two spheres {np.mean(spheres):5.1f} mm  gaps {len(rms)}"
     )
+
+
+def started(name: str, before: int, n: int = 60) -> str:
+    """One row: a marker that is hidden for ``n`` frames so many frames after the take has begun (at 60 Hz, somewhere in
+    the first half of the file), without a start pose and with the last quarter of the file as one.
+    """
+    take = decimated(ml.read_points(DATA / "labelling" / f"{name}.c3d"), 2)
+    take = take.keep(take.kind == 0)
+    begin, frames = int(take.frames[0]), len(take.frames)
+    known = ml.start_pose(take.select(begin + 3 * frames // 4, None))
+    rng = np.random.default_rng(0)
+    rms: dict[bool, list[float]] = {False: [], True: []}
+    ratios: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(TRIALS):
+        track = int(rng.choice(np.unique(take.track)))
+        start = begin + int(rng.integers(0, frames // 2))
+        piece = take.select(start, start + before + n)
+        if (piece.track == track).sum() < before + n:
+            continue
+        for with_pose in rms:
+            error, sigma = carried(piece, track, start + before, known if with_pose else None)
+            if error:
+                rms[with_pose].append(float(np.sqrt(np.mean(np.square(error)))))
+                ratios[with_pose] += list(np.square(np.array(error) / sigma))
+    told = [f"{np.mean(rms[k]):.1f} mm (median {np.median(rms[k]):.1f}; {np.mean(ratios[k]):.2f})" for k in rms]
+    return f"{name:12} {before} frames after the start, hidden {n}: mean rms {told[0]}, with a start pose {told[1]}"
 
 
 def broken(points: ml.Points, seed: int, longest_hole: int) -> tuple[ml.Points, ml.Points]:
@@ -122,11 +155,15 @@ def main() -> None:
     """Print every row."""
     if not DATA.is_dir():
         sys.exit("the real recordings (../shared/data) are not on this machine")
-    chosen = set(sys.argv[1:]) or {"hidden", "broken"}
+    chosen = set(sys.argv[1:]) or {"hidden", "started", "broken"}
     if "hidden" in chosen:
         for name in FILES:
             for n in HIDDEN_FRAMES:
                 print(hidden(name, n), flush=True)
+    if "started" in chosen:
+        for name in ("cmu-85_02", "fullbody-44"):
+            for before in (12, 60):
+                print(started(name, before), flush=True)
     if "broken" in chosen:
         for name in (*FILES, "KneeltoProne01", "PronetoRun01"):
             for longest_hole in (0, 12):

@@ -35,6 +35,7 @@ class Tracker:
         paper: bool = False,
         heal: bool = False,
         planned: Sequence[tuple[int, int, dict[str, Any]]] = (),
+        start: StartPose | None = None,
     ) -> None: ...
     def moved(self, best: bool) -> list[dict[str, Any]]: ...
     def push(self, dots: object, frame: int | None, time_s: float | None, lag_s: Sequence[float]) -> dict[str, Any]: ...
@@ -63,6 +64,7 @@ def track_points(
     confirmed_only: bool,
     paper: bool,
     progress: Callable[[float], object] | None = None,
+    start: StartPose | None = None,
 ) -> dict[str, Any]: ...
 
 class C3d:
@@ -157,6 +159,9 @@ def learn_subject(
 def learn_more(
     known: tuple[Sequence[Length | None], Heights], known_poses: float, xyz_m: Floats, poses: float, noise_m: float
 ) -> tuple[list[Length | None], Heights]: ...
+
+class StartPose:
+    def __init__(self, model: LabelModel, independent: float, poses_m: Floats) -> None: ...
 
 class LabelModel:
     def __init__(self, subject: Sequence[int], distances: Sequence[Length | None], heights: Heights) -> None: ...

@@ -37,6 +37,7 @@ from markerloom.formats import read_observations, read_points, write_calibration
 from markerloom.hidden import place_on_spheres
 from markerloom.inspect import inspect
 from markerloom.knock import knock
+from markerloom.known_before import StartPose, read_start_pose, start_pose
 from markerloom.labelling import Checked, Labelled, Labeller, check_labels, label, repair_labels
 from markerloom.mending import EditList, Mended, edits_path, mend, read_edits, without_excluded, write_edits
 from markerloom.observations import Observations
@@ -140,6 +141,7 @@ __all__ = [
     "SkeletonFollower",
     "Smoothed",
     "Solved",
+    "StartPose",
     "Subject",
     "Synced",
     "TrackedFrame",
@@ -206,6 +208,7 @@ __all__ = [
     "read_rigid_body",
     "read_segment_poses",
     "read_skeleton",
+    "read_start_pose",
     "read_subject",
     "read_wand",
     "read_wearer",
@@ -223,6 +226,7 @@ __all__ = [
     "smooth",
     "solve",
     "solve_segments",
+    "start_pose",
     "sync",
     "track",
     "track_rigid_body",

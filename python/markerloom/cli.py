@@ -37,6 +37,7 @@ from markerloom.filling.cli import fill, smooth
 from markerloom.formats import table_file
 from markerloom.from_pixels import rows as whole_way_rows
 from markerloom.inspect import inspect as run_inspect
+from markerloom.known_before import read_start_pose
 from markerloom.labelling.cli import frame_range, label, subject_app
 from markerloom.mending.cli import mend
 from markerloom.motion.cli import edit_app
@@ -294,6 +295,9 @@ def track(
     calibration_out: Annotated[
         Path | None, typer.Option("--calibration-out", help="Write the refined cameras, as they stand at the end.")
     ] = None,
+    start_pose: Annotated[
+        Path | None, typer.Option("--start-pose", help="The same markers before: named points, or SUBJECT.toml.")
+    ] = None,
     page: Annotated[
         Path | None, typer.Option("--page", help="Write a page with pictures.", metavar="FILE.html")
     ] = None,
@@ -330,6 +334,7 @@ def track(
             frames=wanted,
             noise_px=noise_px,
             refine_calibration=refine_calibration,
+            start_pose=None if start_pose is None else read_start_pose(start_pose),
             progress=progress,
         )
     formats.write_points(points, output)
@@ -339,15 +344,19 @@ def track(
         table_file.write(points.assignments, assignments)
     if page is not None:
         save_track_page(points, page)
-    result = points.report
-    warn(quiet, result["warnings"])
-    residual = f"residual {result['residual_px']['median']:.3f} px" if rig else f"noise {result['noise_mm']:.2f} mm"
-    say(
-        quiet,
-        f"{result['frames']} frames, {result['trajectories']} trajectories, {result['points_per_frame']:.2f} measured "
-        f"and {result['predicted_per_frame']:.2f} predicted points per frame, {residual} → {output}",
+    warn(quiet, points.report["warnings"])
+    say(quiet, f"{_in_a_line(points.report)} → {output}")
+    finish(report, [p for p in (take, calibration, start_pose) if p is not None], options, points.report)
+
+
+def _in_a_line(tracked: dict[str, Any]) -> str:
+    """What tracking gave: of dots their residual, of points their noise."""
+    residual = tracked.get("residual_px")
+    off = f"residual {residual['median']:.3f} px" if residual else f"noise {tracked['noise_mm']:.2f} mm"
+    return (
+        f"{tracked['frames']} frames, {tracked['trajectories']} trajectories, {tracked['points_per_frame']:.2f} "
+        f"measured and {tracked['predicted_per_frame']:.2f} predicted points per frame, {off}"
     )
-    finish(report, [take] if calibration is None else [take, calibration], options, result)
 
 
 def _refuse_for_points(dots_only: dict[str, object]) -> None:

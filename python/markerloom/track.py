@@ -17,6 +17,7 @@ from markerloom.bumped import Moves, found_moves, warning
 from markerloom.calibrate.refine import refine_rig
 from markerloom.errors import InputError
 from markerloom.explain import Seen, TrackedTake, gaps
+from markerloom.known_before import StartPose
 from markerloom.moments import Moments, dots_for_estimates, moment, moments_of
 from markerloom.observations import DotArrays, MatchedDots, Observations, framed_by_time, match
 from markerloom.points import KINDS, Points
@@ -66,17 +67,25 @@ class Tracker:
     What ``push`` returns depends on the frames so far and on nothing else: ``track(..., causal=True)`` gives the same
     to the bit. Noise and volume are learned from the frames as they come; ``noise_px`` states the noise where it is
     known. ``refine_calibration``: a camera that is knocked is found, and its new pose used from the next frame on; what
-    was found is in ``moves``. Raises ``InputError`` for a rate that is none and for a rig that cannot give a depth.
+    was found is in ``moves``. ``start_pose``: how the markers lie to each other, where that is known before. Raises
+    ``InputError`` for a rate that is none and for a rig that cannot give a depth.
     """
 
     def __init__(
-        self, rig: Rig, *, rate_hz: float, noise_px: float | None = None, refine_calibration: bool = False
+        self,
+        rig: Rig,
+        *,
+        rate_hz: float,
+        noise_px: float | None = None,
+        refine_calibration: bool = False,
+        start_pose: StartPose | None = None,
     ) -> None:
         """Prepare for the cameras of ``rig``."""
         self._rig = rig
         self._index = {camera.id: i for i, camera in enumerate(rig.cameras)}
         self._rate_hz, self._frame = rate_hz, -1
-        self._core = _core.Tracker(rig.core, None, rate_hz, noise_px, heal=refine_calibration)
+        start = None if start_pose is None else start_pose.core
+        self._core = _core.Tracker(rig.core, None, rate_hz, noise_px, heal=refine_calibration, start=start)
 
     @property
     def moves(self) -> Moves:
@@ -157,6 +166,7 @@ def track(
     frames: tuple[int | None, int | None] | None = None,
     noise_px: float | None = None,
     refine_calibration: bool = False,
+    start_pose: StartPose | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Follow every marker of a take through time: from dots and their ``rig``, or from anonymous or broken points.
@@ -167,15 +177,27 @@ def track(
     ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
     ``refine_calibration``: the rig is first adjusted to the take's own markers (see ``refine_rig``), and a camera that
     was moved while the take ran is solved anew from the others; with ``causal``, only the latter, as a live user would
-    have had it. Without it, cameras that were moved are only told of. ``progress(done, total)`` is called now and then.
+    have had it. Without it, cameras that were moved are only told of. ``start_pose``: how the
+    markers lie to each other, where that is known before the first frame (see ``start_pose``). ``progress(done, total)`` is
+    called now and then.
 
     Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
     when the cameras cannot give a depth.
     """
     if method not in TRACK_METHODS:
         raise InputError(f"method '{method}': known are {', '.join(TRACK_METHODS)}")
+    if method == "paper" and start_pose is not None:
+        raise InputError("the method of the paper learns its links from the take: leave the start pose out")
     if isinstance(take, Points):
-        return track_points(take, rate_hz=rate_hz, causal=causal, frames=frames, method=method, progress=progress)
+        return track_points(
+            take,
+            rate_hz=rate_hz,
+            causal=causal,
+            frames=frames,
+            method=method,
+            start_pose=start_pose,
+            progress=progress,
+        )
     if rig is None:
         raise InputError(f"dots are tracked with the cameras that saw them: state the calibration ({take.source})")
     observations = take if frames is None else take.select(*frames)
@@ -187,7 +209,7 @@ def track(
         notes = list(dots.warnings)
     else:
         rig, dots, notes = usable_dots(observations, rig)
-    run = _Run(observations, dots, len(rig), notes, method, causal, noise_px, progress)
+    run = _Run(observations, dots, len(rig), notes, method, causal, noise_px, start_pose, progress)
     if not refine_calibration or causal:
         return run.of(Moves(rig), heal=refine_calibration)
     if run.moments.has_several_clocks:
@@ -212,6 +234,7 @@ class _Run:
     method: str
     causal: bool
     noise_px: float | None
+    start_pose: StartPose | None
     progress: Progress | None
 
     @cached_property
@@ -228,12 +251,13 @@ class _Run:
             raise InputError(
                 "the method of the paper knows one clock only: the cameras saw the frames at different times"
             )
+        start = None if self.start_pose is None else self.start_pose.core
         if self.causal and self.method == "default":
-            tracker = _core.Tracker(rig.core, None, rate_hz, self.noise_px, heal=heal)
+            tracker = _core.Tracker(rig.core, None, rate_hz, self.noise_px, heal=heal, start=start)
         else:
             model = _core.estimate_model(rig.core, dots_for_estimates(dots, moments, rig, rate_hz), self.noise_px)
             paper = self.method == "paper"
-            tracker = _core.Tracker(rig.core, model, rate_hz, None, paper, planned=known.planned())
+            tracker = _core.Tracker(rig.core, model, rate_hz, None, paper, planned=known.planned(), start=start)
         stages["estimate"] = time.perf_counter() - clock
         _record(tracker, dots, moments, self._part(0))
         stages["track"] = time.perf_counter() - clock - stages["estimate"]

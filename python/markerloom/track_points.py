@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from markerloom import _core
 from markerloom.errors import InputError
+from markerloom.known_before import StartPose
 from markerloom.points import KINDS, MEASURED, Points
 from markerloom.reconstruct import Progress, Reconstruction, in_parts
 
@@ -31,14 +32,15 @@ def track_points(
     causal: bool = False,
     frames: tuple[int | None, int | None] | None = None,
     method: str = "default",
+    start_pose: StartPose | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Follow every marker of a take of points through time; their names and trajectories are not looked at.
 
     Only measured rows count; positions that were predicted, filled or edited are found anew. Where the take does not
     state the uncertainty of its points, it is estimated from how unevenly they move. ``causal``, ``frames``,
-    ``method`` and ``progress`` as in ``track``. Raises ``InputError`` where there is no measured point or no frame
-    rate.
+    ``method``, ``start_pose`` and ``progress`` as in ``track``. Raises ``InputError`` where there is no measured
+    point or no frame rate.
     """
     clock = time.perf_counter()
     if frames is not None:
@@ -59,13 +61,13 @@ def track_points(
     noise_mm = jumps_mm
     followed = np.where(stated, np.maximum(sigma_mm, jumps_mm), jumps_mm)
     if method == "default" and not causal and not stated.all():
-        first = _solve(take, order, followed, rate, causal=True, method=method)
+        first = _solve(take, order, followed, rate, start_pose, causal=True, method=method)
         seen = np.diff(first["dot_starts"]) == 1
         xyz_mm = take.xyz_mm[order][first["dots"]]
         noise_mm = estimated_noise_mm(first["track"][seen], first["frame"][seen], xyz_mm, jumps_mm)
         followed = np.maximum(followed, np.where(stated, 0.0, noise_mm))
     told = in_parts(progress, len(take.frames))
-    solved = _solve(take, order, followed, rate, causal=causal, method=method, told=told)
+    solved = _solve(take, order, followed, rate, start_pose, causal=causal, method=method, told=told)
     tracked = _as_points(solved, take, order, rate, np.where(stated, sigma_mm, noise_mm))
     report = _report(tracked, noise_mm if not stated.all() else float(np.median(sigma_mm)), notes, causal, method)
     report["timing"] = {"seconds": time.perf_counter() - clock}
@@ -77,6 +79,7 @@ def _solve(
     order: NDArray[np.int64],
     sigma_mm: Array,
     rate_hz: float,
+    start_pose: StartPose | None,
     *,
     causal: bool,
     method: str,
@@ -92,6 +95,7 @@ def _solve(
         causal,
         method == "paper",
         told,
+        None if start_pose is None else start_pose.core,
     )
 
 

@@ -1,12 +1,14 @@
 //! Naming of points for Python.
 
 use crate::conv::places;
+use crate::errors::InputError;
 use markerloom_core::label::evidence::{Frame, Names, Naming};
 use markerloom_core::label::learn::{Learned, Named, Said, learn, learn_more as engine_learn_more};
 use markerloom_core::label::live::Labeller;
 use markerloom_core::label::model::{Height, Length, Model};
 use markerloom_core::label::search::{Plan, search_all};
 use markerloom_core::label::take::{Take, label_take};
+use markerloom_core::track::Start;
 use nalgebra::Vector3;
 use numpy::ndarray::ArrayView1;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
@@ -138,6 +140,34 @@ impl PyModel {
             let found = label_take(&self.inner, &self.plans, &take);
             (as_numbers(&found.marker), found.probability, found.mirrored)
         })
+    }
+}
+
+/// What is known of the markers before the first frame: a model from so many independent poses, and its markers' places in poses seen before
+/// (poses, markers, 3; m; NaN where missing).
+#[pyclass(name = "StartPose", module = "markerloom._core", frozen)]
+pub struct PyStart {
+    model: Model,
+    independent: f64,
+    poses: Vec<Named>,
+}
+
+#[pymethods]
+impl PyStart {
+    #[new]
+    fn new(model: &PyModel, independent: f64, poses_m: PyReadonlyArray3<'_, f64>) -> PyResult<Self> {
+        let poses = named(&poses_m);
+        if poses.iter().any(|pose| pose.len() != model.inner.len()) {
+            return Err(InputError::new_err("the poses have other markers than the model"));
+        }
+        Ok(Self { model: model.inner.clone(), independent, poses })
+    }
+}
+
+impl PyStart {
+    /// For a tracker.
+    pub fn start(&self) -> Start {
+        Start::new(self.model.clone(), self.independent, self.poses.clone())
     }
 }
 

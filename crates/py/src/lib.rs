@@ -36,6 +36,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<c3d::PyC3d>()?;
     module.add_class::<label::PyModel>()?;
     module.add_class::<label::PyLabeller>()?;
+    module.add_class::<label::PyStart>()?;
     module.add_class::<skeleton::PyFigure>()?;
     module.add_class::<skeleton::PyFollower>()?;
     module.add_class::<motion::PyClouds>()?;

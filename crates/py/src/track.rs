@@ -2,6 +2,7 @@
 
 use crate::conv::{self, DotArrays, Teller};
 use crate::errors::InputError;
+use crate::label::PyStart;
 use crate::reconstruct::PyModel;
 use crate::rig::PyRig;
 use crate::synth::described;
@@ -72,7 +73,8 @@ pub struct PyTracker {
 #[pymethods]
 impl PyTracker {
     #[new]
-    #[pyo3(signature = (rig, model, rate_hz, noise_px=None, paper=false, heal=false, planned=Vec::new()))]
+    #[pyo3(signature = (rig, model, rate_hz, noise_px=None, paper=false, heal=false, planned=Vec::new(), start=None))]
+    #[expect(clippy::too_many_arguments, reason = "each one is a keyword")]
     fn new(
         rig: &PyRig,
         model: Option<&PyModel>,
@@ -81,11 +83,12 @@ impl PyTracker {
         paper: bool,
         heal: bool,
         planned: Vec<(i64, usize, Bound<'_, PyDict>)>,
+        start: Option<&PyStart>,
     ) -> PyResult<Self> {
         let camera = |(frame, index, dict): &(i64, usize, Bound<'_, PyDict>)| Ok((*frame, *index, conv::camera(dict)?));
         let planned = planned.iter().map(camera).collect::<PyResult<_>>()?;
         let options = TrackOptions::default();
-        let default = |tracker| Engine::Default(Box::new(tracker));
+        let default = |tracker: Tracker| Engine::Default(Box::new(tracker.starting_from(start.map(PyStart::start))));
         let made = match model {
             Some(model) if paper => PaperTracker::new(&rig.inner, &model.inner, rate_hz, PaperOptions::default())
                 .map(|tracker| Engine::Paper(Box::new(tracker))),

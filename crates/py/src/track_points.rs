@@ -2,6 +2,7 @@
 
 use crate::conv::Teller;
 use crate::errors::InputError;
+use crate::label::PyStart;
 use crate::track::arrays;
 use markerloom_core::track::paper::{PaperOptions, PaperPointTracker};
 use markerloom_core::track::points::{MeasuredPoint, PointTracker};
@@ -16,7 +17,7 @@ use pyo3::types::PyDict;
 /// per axis. `confirmed_only`: just what a live user saw; `paper`: the seed paper's tracking. `progress(part)` is called now
 /// and then.
 #[pyfunction]
-#[pyo3(signature = (starts, point_m, sigma_m, frames, rate_hz, confirmed_only, paper, progress=None))]
+#[pyo3(signature = (starts, point_m, sigma_m, frames, rate_hz, confirmed_only, paper, progress=None, start=None))]
 #[expect(clippy::too_many_arguments, reason = "each one is a keyword")]
 pub fn track_points<'py>(
     py: Python<'py>,
@@ -28,6 +29,7 @@ pub fn track_points<'py>(
     confirmed_only: bool,
     paper: bool,
     progress: Option<Py<PyAny>>,
+    start: Option<&PyStart>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let sigma_m = sigma_m.as_slice()?;
     let rows = point_m.as_array();
@@ -43,10 +45,11 @@ pub fn track_points<'py>(
         |i: usize| MeasuredPoint { point: Vector3::new(rows[(i, 0)], rows[(i, 1)], rows[(i, 2)]), sigma_m: sigma_m[i] };
     let all: Vec<MeasuredPoint> = (0..rows.nrows()).map(point).collect();
     let teller = Teller::new(progress);
+    let start = start.map(PyStart::start);
     let tracked = py
         .detach(|| {
             let (mut recorded, mut times_s): (Vec<Tracked>, Vec<f64>) = (Vec::new(), Vec::new());
-            let mut default = PointTracker::new(rate_hz, TrackOptions::default())?;
+            let mut default = PointTracker::new(rate_hz, TrackOptions::default())?.starting_from(start);
             let mut as_written = PaperPointTracker::new(rate_hz, PaperOptions::default())?;
             for (range, &frame) in starts.windows(2).zip(&frames) {
                 let moment = Moment { frame: Some(frame), time_s: None };

@@ -8,6 +8,7 @@ use super::frame::Frame;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::rematch;
+use super::start::Start;
 use super::{Kind, Sample, TrackOptions};
 use crate::correspond::Group;
 use nalgebra::Vector3;
@@ -26,6 +27,8 @@ pub struct Crowd {
     next_track: u32,
     /// Frames in which two trajectories, by identity, shared one marker's cameras out between them.
     pub suspected: BTreeMap<(u32, u32), i32>,
+    /// What was known before the first frame.
+    pub start: Option<Start>,
 }
 
 impl Crowd {
@@ -40,6 +43,7 @@ impl Crowd {
             slots: Vec::new(),
             next_track: 0,
             suspected: BTreeMap::new(),
+            start: None,
         })
     }
 
@@ -181,6 +185,9 @@ impl Crowd {
         let seen: Vec<Seen> =
             self.markers.iter().filter(|m| m.confirmed && m.is_measured()).map(Marker::seen).collect();
         self.body.learn(&seen, time_s);
+        if let Some(start) = &mut self.start {
+            start.recognise(&self.markers, &mut self.body, time_s);
+        }
         let memory_s = self.options.memory_s;
         let told = self.markers.iter().filter(|m| m.hardware.is_some()).count();
         let among_active = 2 * told > self.markers.len();

@@ -31,11 +31,13 @@ mod reclaim;
 mod rematch;
 pub mod repair;
 mod share;
+mod start;
 mod view;
 mod visibility;
 
 pub use clock::{Moment, TimeError};
 pub use flow::{Shot, at_moments};
+pub use start::Start;
 
 use adapt::Adaptation;
 
@@ -238,6 +240,13 @@ impl Tracker {
         let model = estimate_model(rig, &[], &reconstruct)?;
         let tracker = Self::new(rig, &model, rate_hz, options)?;
         Ok(Self { adaptation: Some(Adaptation::new(noise_px)), ..tracker })
+    }
+
+    /// The same tracker, for markers whose places to each other are known before the first frame.
+    #[must_use]
+    pub fn starting_from(mut self, start: Option<Start>) -> Self {
+        self.crowd.start = start;
+        self
     }
 
     /// Follows the markers into the next frame. The order of the dots does not matter.

@@ -7,6 +7,7 @@ use super::flow::Motion;
 use super::locate::Located;
 use super::marker::Marker;
 use super::rematch::WORST_OF_POINTS;
+use super::start::Start;
 use super::view::Prior;
 use super::{TrackOptions, Tracked};
 use crate::assignment::assign;
@@ -49,6 +50,13 @@ impl PointTracker {
     /// A tracker for a frame rate.
     pub fn new(rate_hz: f64, options: TrackOptions) -> Result<Self, TimeError> {
         Ok(Self { crowd: Crowd::new(rate_hz, options)?, gate: chi2::quantile(MISSED, 3.0) })
+    }
+
+    /// The same tracker, for markers whose places to each other are known before the first frame.
+    #[must_use]
+    pub fn starting_from(mut self, start: Option<Start>) -> Self {
+        self.crowd.start = start;
+        self
     }
 
     /// Number and time (s) of the last frame.

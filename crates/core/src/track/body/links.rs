@@ -7,6 +7,7 @@
 //! rigid. A link whose distance stays off its mean is broken; it heals when the distance comes back.
 
 use super::{Carried, Seen};
+use crate::label::model::Length;
 use nalgebra::Vector3;
 
 /// Links that a marker keeps.
@@ -55,6 +56,14 @@ impl Link {
         let length = between.norm();
         let direction = between / length.max(1e-9);
         Self { other, mean_m: length, variance: 0.0, noise: 0.0, count: 0.0, turns: 0.0, direction, off: 0 }
+    }
+
+    /// A link that is known before it is seen.
+    fn known(other: usize, length: &Length, worth: f64) -> Self {
+        let (variance, count) = (length.sd.powi(2), worth.min(MEMORY));
+        let turns = (count / TURN_WORTH).floor();
+        let direction = Vector3::zeros();
+        Self { other, mean_m: length.mean, variance, noise: 0.0, count, turns, direction, off: 0 }
     }
 
     fn learn(&mut self, between: &Vector3<f64>, noise: f64) {
@@ -133,6 +142,17 @@ impl Links {
     /// The links of one marker.
     pub fn of(&self, slot: usize) -> &[Link] {
         self.by_slot.get(slot).map_or(&[], Vec::as_slice)
+    }
+
+    /// A distance that is known before, as well as from `worth` observations.
+    pub fn know(&mut self, slot: usize, other: usize, length: Length, worth: f64) {
+        let own = &mut self.by_slot[slot];
+        if own.iter().any(|l| l.other == other && l.count >= worth) {
+            return;
+        }
+        own.retain(|l| l.other != other);
+        own.push(Link::known(other, &length, worth));
+        keep_best(own);
     }
 
     /// Takes in the distances of one frame.
@@ -238,6 +258,10 @@ fn renew(own: &mut Vec<Link>, one: &Seen, seen: &[Seen]) {
             own.push(Link::new(other.slot, &(other.point - one.point)));
         }
     }
+    keep_best(own);
+}
+
+fn keep_best(own: &mut Vec<Link>) {
     own.sort_by(|a, b| a.cost().total_cmp(&b.cost()).then(a.other.cmp(&b.other)));
     own.truncate(KEPT);
 }

@@ -73,6 +73,8 @@ pub struct Body {
     pub links: Links,
     history: Vec<Snapshot>,
     oldest: usize,
+    /// Snapshots from before the first frame.
+    before: Vec<Snapshot>,
     /// The last frames with their times (s), newest first.
     last: VecDeque<(f64, Snapshot)>,
     /// The last frames in which a hidden marker was seen, newest first.
@@ -89,7 +91,7 @@ impl Body {
     pub fn clear(&mut self, slot: usize) {
         self.reserve(slot + 1);
         self.links.clear(slot);
-        for snapshot in &mut self.history {
+        for snapshot in self.history.iter_mut().chain(&mut self.before) {
             if let Some(place) = snapshot.get_mut(slot) {
                 *place = None;
             }
@@ -112,6 +114,17 @@ impl Body {
             self.lost.resize(slots, None);
             self.fits.resize(slots, Framing::default());
             self.links.reserve(slots);
+        }
+    }
+
+    /// Where a slot's marker was in the poses from before the first frame (m): as many at every call.
+    pub fn know(&mut self, slot: usize, places: impl ExactSizeIterator<Item = Option<Vector3<f64>>>) {
+        self.before.resize(places.len(), Snapshot::new());
+        for (snapshot, place) in self.before.iter_mut().zip(places) {
+            if snapshot.len() <= slot {
+                snapshot.resize(slot + 1, None);
+            }
+            snapshot[slot] = place;
         }
     }
 
@@ -156,7 +169,7 @@ impl Body {
     /// Snapshots from the newest to the oldest.
     fn recent(&self) -> impl Iterator<Item = &Snapshot> {
         let (newer, older) = self.history.split_at(self.oldest);
-        newer.iter().rev().chain(older.iter().rev())
+        newer.iter().rev().chain(older.iter().rev()).chain(&self.before)
     }
 
     /// Where a hidden marker is: its own motion, the frame of its neighbours and the links to them, put together by their
