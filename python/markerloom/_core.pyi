@@ -160,6 +160,13 @@ def learn_more(
     known: tuple[Sequence[Length | None], Heights], known_poses: float, xyz_m: Floats, poses: float, noise_m: float
 ) -> tuple[list[Length | None], Heights]: ...
 
+Surroundings = tuple[NDArray[np.int64], Floats, Floats, Floats, Floats, Floats, Floats]
+
+def fill_gap(
+    way: str, around: Surroundings, first: int, last: int, learn: NDArray[np.int64]
+) -> NDArray[np.float64] | None: ...
+def turns_onto(reference: Floats, about: Floats) -> NDArray[np.float64]: ...
+
 class StartPose:
     def __init__(self, model: LabelModel, independent: float, poses_m: Floats) -> None: ...
 

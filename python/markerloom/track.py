@@ -177,9 +177,9 @@ def track(
     ``frames``: first and one past the last. ``noise_px``: noise of the dots where it is known.
     ``refine_calibration``: the rig is first adjusted to the take's own markers (see ``refine_rig``), and a camera that
     was moved while the take ran is solved anew from the others; with ``causal``, only the latter, as a live user would
-    have had it. Without it, cameras that were moved are only told of. ``start_pose``: how the
-    markers lie to each other, where that is known before the first frame (see ``start_pose``). ``progress(done, total)`` is
-    called now and then.
+    have had it. Without it, cameras that were moved are only told of. ``start_pose``: how the markers lie to each
+    other, where that is known before the first frame (see ``start_pose``). ``progress(done, total)`` is called now and
+    then.
 
     Raises ``InputError`` when observations and rig do not belong together or the frame rate is not known, ``RigError``
     when the cameras cannot give a depth.

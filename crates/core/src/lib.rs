@@ -10,6 +10,7 @@ pub mod camera;
 pub mod chi2;
 pub mod correspond;
 pub mod detect;
+pub mod fill;
 pub mod label;
 pub mod motion;
 pub mod reconstruct;

@@ -8,6 +8,7 @@ mod calibrate;
 mod conv;
 mod detect;
 mod errors;
+mod fill;
 mod hidden;
 mod label;
 mod motion;
@@ -44,6 +45,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(motion::split_bands, module)?)?;
     module.add_function(wrap_pyfunction!(motion::equalise_bands, module)?)?;
     module.add_function(wrap_pyfunction!(motion::change_motion, module)?)?;
+    module.add_function(wrap_pyfunction!(fill::fill_gap, module)?)?;
+    module.add_function(wrap_pyfunction!(fill::turns_onto, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_subject, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_more, module)?)?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from markerloom.filling.methods import METHODS, Gap
+from markerloom.filling.methods import KNOTS, METHODS, Gap
 from markerloom.filling.surroundings import LEARNED, Surroundings
 
 Array = NDArray[np.floating[Any]]
@@ -65,7 +65,8 @@ def choose(
     apart = round(APART_S * rate_hz)
     usable = learnable(around)
     tried = list(methods)
-    hidden = own.copy()
+    # All that is looked at lies near the gap or a stretch.
+    hidden = own[: int(around.frames[-1]) + length + KNOTS].copy()
     for number, start in enumerate(stretches):
         frames = around.frames[usable]
         away = (frames < start - apart) | (frames >= start + length + apart)
@@ -186,13 +187,16 @@ def _stretches(around: Surroundings, own: Array, first: int, last: int) -> list[
     chosen: list[int] = []
     step = max(1, length // 2, len(starts) // 64)
     distance = np.abs(starts + length / 2.0 - (first + last) / 2.0)
-    for index in np.argsort(distance, kind="stable"):
-        start = int(starts[index])
-        if all(abs(start - other) >= step for other in chosen):
-            chosen.append(start)
-            step = max(step, length, len(starts) // (4 * STRETCHES))
-            if len(chosen) == STRETCHES:
-                break
+    left = starts[np.argsort(distance, kind="stable")]
+    nearest = np.full(len(left), high)
+    while len(chosen) < STRETCHES:
+        free = np.flatnonzero(nearest >= step)
+        if len(free) == 0:
+            break
+        chosen.append(int(left[free[0]]))
+        left, nearest = left[free[0] + 1 :], nearest[free[0] + 1 :]
+        nearest = np.minimum(nearest, np.abs(left - chosen[-1]))
+        step = max(step, length, len(starts) // (4 * STRETCHES))
     return chosen
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from markerloom import _core
 
 Array = NDArray[np.floating[Any]]
 Ints = NDArray[np.int64]
@@ -40,6 +43,14 @@ class Surroundings:
     neighbours_mm: Array
     turn: Array
     middle: Array
+
+    @cached_property
+    def core(self) -> _core.Surroundings:
+        """For the engine."""
+        flat = self.turn.reshape(-1, 3, 3)
+        every = (self.world, self.local, self.features, self.neighbours_mm, flat, self.middle)
+        world, local, features, neighbours, turn, middle = (np.ascontiguousarray(a, float) for a in every)
+        return self.frames.astype(np.int64), world, local, features, neighbours, turn, middle
 
     def rows(self, first: int, last: int) -> Ints:
         """Rows of the frames from ``first`` to before ``last``."""
@@ -86,7 +97,7 @@ def surroundings(
     about = places - middle[:, None]
     near = np.searchsorted(frames, first)
     reference = about[min(near, len(about) - 1)]
-    turn = _turns(reference, about)
+    turn = _core.turns_onto(np.ascontiguousarray(reference), np.ascontiguousarray(about))
     local = np.einsum("fji,fj->fi", turn, xyz_mm[frames, marker] - middle)
     features = np.einsum("fji,fkj->fki", turn, about).reshape(len(frames), -1)
     return Surroundings(marker, neighbours, frames, xyz_mm[frames, marker], local, features, places, turn, middle)
@@ -108,11 +119,3 @@ def _neighbours(xyz_mm: Array, marker: int, first: int, last: int, spread: Array
         if len(chosen) == NEIGHBOURS:
             break
     return np.array(chosen, np.int64)
-
-
-def _turns(reference: Array, about: Array) -> Array:
-    """The rotations (n, 3, 3) that bring the reference nearest to each frame (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(np.einsum("fki,kj->fij", about, reference))
-    sign = np.sign(np.linalg.det(u @ vt))
-    u[:, :, 2] *= sign[:, None]
-    return u @ vt

@@ -81,8 +81,10 @@ def fill(
     methods = TRIED if method == "auto" else (method,)
     rows: list[dict[str, Any]] = []
     plans = _plans(take, todo, methods, rate, progress)
+    usual = {size: _pooled_mm(plans, size) for size in {plan.size for plan in plans}}
+    noise = {slot: _noise_mm(sigma_mm[:, slot]) for slot in {plan.hole.slot for plan in plans}}
     for plan in plans:
-        result = _filled(take, plan, _pooled_mm(plans, plan.size))
+        result = _filled(take, plan, usual[plan.size], noise[plan.hole.slot])
         if result is not None:
             inside = (slice(plan.hole.first, plan.hole.last), plan.hole.slot)
             xyz_mm[inside], sigma_mm[inside], how = result
@@ -156,7 +158,7 @@ def _plans(
     spread = spreads(take.xyz_mm) if holes else np.zeros((0, 0))
     plans = []
     for number, hole in enumerate(holes):
-        hidden = np.asarray(~take.present[max(0, hole.first - 1) : hole.last + 1].all(axis=0))
+        hidden = np.asarray((take.kind[max(0, hole.first - 1) : hole.last + 1] == ABSENT).any(axis=0))
         around = surroundings(take.xyz_mm, hole.slot, hole.first, hole.last, spread, rate_hz, hidden)
         size = round(2.0 * np.log2(hole.last - hole.first))
         key = (hole.slot, size, int(hole.first / (ALIKE_S * rate_hz)), around.neighbours.tobytes())
@@ -178,7 +180,15 @@ def _pooled_mm(plans: list[_Plan], size: int) -> float:
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0
 
 
-def _filled(take: Trajectories, plan: _Plan, pooled_mm: float) -> tuple[Array, Array, dict[str, Any]] | None:
+def _noise_mm(sigma_mm: Array) -> float:
+    """What a marker's own samples are uncertain by; 0 where they do not say."""
+    known = sigma_mm[np.isfinite(sigma_mm)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _filled(
+    take: Trajectories, plan: _Plan, pooled_mm: float, noise_mm: float
+) -> tuple[Array, Array, dict[str, Any]] | None:
     """Places, sigmas, and how they were found; ``None`` where no method can."""
     hole, choice = plan.hole, plan.choice
     own = take.xyz_mm[:, hole.slot]
@@ -191,13 +201,11 @@ def _filled(take: Trajectories, plan: _Plan, pooled_mm: float) -> tuple[Array, A
     total = sum(choice.weights[m] for m in found)
     place = np.sum([choice.weights[m] / total * p for m, p in found.items()], axis=0)
     over = np.linspace(0.0, 1.0, hole.last - hole.first)
-    own_sigma = take.sigma_mm[:, hole.slot]
-    noise = float(np.nanmedian(own_sigma)) if np.isfinite(own_sigma).any() else 0.0
     # Few stretches may all have been easy: a part of what is usual for gaps of this size goes in.
     n = choice.stretches
     error = np.sqrt((n * choice.error_mm**2 + POOLED * pooled_mm**2) / (n + POOLED)) if plan.tried else choice.error_mm
     shape_mm = choice.shape_mm * error / max(choice.error_mm, 1e-9)
-    sigma_mm = np.hypot(np.interp(over, SHAPE, shape_mm), noise)
+    sigma_mm = np.hypot(np.interp(over, SHAPE, shape_mm), noise_mm)
     how = {
         "method": choice.method,
         "weights": {m: round(choice.weights[m] / total, 3) for m in found},
