@@ -236,17 +236,40 @@ fn cyclic(gap: &Gap) -> Option<Vec<Vector3<f64>>> {
     })
 }
 
-/// The rotations that bring a reference nearest to each frame (Kabsch 1976), all of `reference.len()` points about their
-/// middle. From frame to frame bodies hardly turn; where they do, the search is done without a guess.
-pub fn turns(reference: &[Vector3<f64>], about: &[Vector3<f64>]) -> Vec<Rotation3<f64>> {
-    let weights = vec![1.0; reference.len()];
-    let mut last: Option<Rotation3<f64>> = None;
-    let mut turn = |points: &[Vector3<f64>]| {
-        let moments: Matrix3<f64> = points.iter().zip(reference).map(|(p, r)| p * r.transpose()).sum();
-        let near = last.map(|guess| align(reference, points, &weights, guess)).filter(|r| is_best(r, &moments));
-        *last.insert(near.unwrap_or_else(|| best_turn(&moments)))
+/// The frame of the neighbours at one moment: from it to the world by `turn` and `middle`, and where they are in it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// From the neighbours' frame to the world.
+    pub turn: Rotation3<f64>,
+    /// Their middle (world).
+    pub middle: Vector3<f64>,
+}
+
+/// The frames of neighbours (`count` for each moment) against those of one of the moments, `reference`: the rotations
+/// that bring it nearest to each (Kabsch 1976).
+pub fn frames_of(neighbours: &[Vector3<f64>], count: usize, reference: usize) -> Vec<Frame> {
+    let moments: Vec<&[Vector3<f64>]> = neighbours.chunks_exact(count.max(1)).collect();
+    let Some(first) = moments.get(reference) else { return Vec::new() };
+    let middle = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let about = |points: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
+        let middle = middle(points);
+        points.iter().map(|p| p - middle).collect()
     };
-    about.chunks_exact(reference.len().max(1)).map(&mut turn).collect()
+    let first = about(first);
+    let mut last = None;
+    let mut frame = |points: &&[Vector3<f64>]| {
+        let turn = turn_onto(&first, &about(points), last);
+        last = Some(turn);
+        Frame { turn, middle: middle(points) }
+    };
+    moments.iter().map(&mut frame).collect()
+}
+
+/// From moment to moment bodies hardly turn; where they do, the search is done without a guess.
+fn turn_onto(reference: &[Vector3<f64>], points: &[Vector3<f64>], guess: Option<Rotation3<f64>>) -> Rotation3<f64> {
+    let moments: Matrix3<f64> = points.iter().zip(reference).map(|(p, r)| p * r.transpose()).sum();
+    let near = guess.map(|guess| align(reference, points, &vec![1.0; points.len()], guess));
+    near.filter(|r| is_best(r, &moments)).unwrap_or_else(|| best_turn(&moments))
 }
 
 /// Whether no small turn would bring the points nearer: the moments turned back are symmetric, and positive enough.
@@ -265,9 +288,7 @@ mod tests {
     #[test]
     fn turns_are_found_over_jumps_too() {
         let mut random = Random::new(5, 0);
-        let mut points: Vec<Vector3<f64>> = (0..5).map(|_| random.in_box(&Vector3::repeat(300.0))).collect();
-        let middle = points.iter().sum::<Vector3<f64>>() / 5.0;
-        points.iter_mut().for_each(|p| *p -= middle);
+        let points: Vec<Vector3<f64>> = (0..5).map(|_| random.in_box(&Vector3::repeat(300.0))).collect();
         let truth: Vec<Rotation3<f64>> = (0..300)
             .map(|f| Rotation3::new(random.in_box(&Vector3::repeat(if f % 50 == 0 { 6.0 } else { 0.1 }))))
             .scan(Rotation3::identity(), |at, step| {
@@ -275,9 +296,9 @@ mod tests {
                 Some(*at)
             })
             .collect();
-        let about: Vec<Vector3<f64>> = truth.iter().flat_map(|t| points.iter().map(move |p| t * p)).collect();
-        for (found, truth) in turns(&points, &about).iter().zip(&truth) {
-            assert_relative_eq!(found.matrix(), truth.matrix(), epsilon = 1e-6);
+        let moved: Vec<Vector3<f64>> = truth.iter().flat_map(|t| points.iter().map(move |p| t * p)).collect();
+        for (found, now) in frames_of(&moved, 5, 0).iter().zip(&truth) {
+            assert_relative_eq!((found.turn * truth[0]).matrix(), now.matrix(), epsilon = 1e-6);
         }
     }
 }

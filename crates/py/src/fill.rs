@@ -1,9 +1,9 @@
 //! Gaps for Python.
 
 use crate::errors::InputError;
-use markerloom_core::fill::{Around, Gap, Way, fill, turns};
+use markerloom_core::fill::{Around, Gap, Way, fill, frames_of};
 use nalgebra::Vector3;
-use numpy::ndarray::Array3;
+use numpy::ndarray::{Array2, Array3};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::prelude::*;
 
@@ -17,6 +17,9 @@ type Surroundings<'py> = (
     PyReadonlyArray3<'py, f64>,
     PyReadonlyArray2<'py, f64>,
 );
+
+type Framed<'py> =
+    (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
 /// Places (frames, 3) within a gap from `first` to before `last`, by one of the ways from neighbours; `None` where it cannot
 /// tell. `learn`: rows that may be learned from.
@@ -65,20 +68,35 @@ fn rows(py: Python<'_>, places: Vec<Vector3<f64>>) -> PyResult<Bound<'_, PyArray
     numpy::PyArrayMethods::reshape(&all.into_pyarray(py), [count, 3])
 }
 
-/// The rotations (frames, 3, 3) that bring a reference (points, 3) nearest to each frame (frames, points, 3).
+/// The frame of neighbours (frames, points, 3) in every frame, against that of row `reference`, and a marker (frames, 3) in
+/// it: middle (frames, 3), turn (frames, 3, 3), marker (frames, 3) and neighbours (frames, 3 points) there.
 #[pyfunction]
-pub fn turns_onto<'py>(
+pub fn in_frames_of<'py>(
     py: Python<'py>,
-    reference: PyReadonlyArray2<'py, f64>,
-    about: PyReadonlyArray3<'py, f64>,
-) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    neighbours: PyReadonlyArray3<'py, f64>,
+    marker: PyReadonlyArray2<'py, f64>,
+    reference: usize,
+) -> PyResult<Framed<'py>> {
     let vectors =
         |values: &[f64]| -> Vec<Vector3<f64>> { values.chunks_exact(3).map(Vector3::from_column_slice).collect() };
-    let (reference, points) = (vectors(reference.as_slice()?), vectors(about.as_slice()?));
-    let found = py.detach(|| turns(&reference, &points));
-    let mut out = Array3::zeros((found.len(), 3, 3));
-    for (f, turn) in found.iter().enumerate() {
-        (0..9).for_each(|i| out[(f, i / 3, i % 3)] = turn.matrix()[(i / 3, i % 3)]);
+    let count = neighbours.as_array().dim().1;
+    let (neighbours, marker) = (vectors(neighbours.as_slice()?), vectors(marker.as_slice()?));
+    if neighbours.len() != count * marker.len() || reference >= marker.len().max(1) {
+        return Err(InputError::new_err("neighbours and marker have other frames"));
     }
-    Ok(out.into_pyarray(py))
+    let frames = py.detach(|| frames_of(&neighbours, count, reference));
+    let n = frames.len();
+    let (mut middle, mut turn) = (Array2::zeros((n, 3)), Array3::zeros((n, 3, 3)));
+    let (mut local, mut features) = (Array2::zeros((n, 3)), Array2::zeros((n, 3 * count)));
+    for (f, frame) in frames.iter().enumerate() {
+        let back = frame.turn.inverse();
+        let own = back * (marker[f] - frame.middle);
+        (0..3).for_each(|k| (middle[(f, k)], local[(f, k)]) = (frame.middle[k], own[k]));
+        (0..9).for_each(|i| turn[(f, i / 3, i % 3)] = frame.turn.matrix()[(i / 3, i % 3)]);
+        for (p, point) in neighbours[f * count..(f + 1) * count].iter().enumerate() {
+            let own = back * (point - frame.middle);
+            (0..3).for_each(|k| features[(f, 3 * p + k)] = own[k]);
+        }
+    }
+    Ok((middle.into_pyarray(py), turn.into_pyarray(py), local.into_pyarray(py), features.into_pyarray(py)))
 }

@@ -46,7 +46,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(motion::equalise_bands, module)?)?;
     module.add_function(wrap_pyfunction!(motion::change_motion, module)?)?;
     module.add_function(wrap_pyfunction!(fill::fill_gap, module)?)?;
-    module.add_function(wrap_pyfunction!(fill::turns_onto, module)?)?;
+    module.add_function(wrap_pyfunction!(fill::in_frames_of, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_subject, module)?)?;
     module.add_function(wrap_pyfunction!(label::learn_more, module)?)?;
     module.add_function(wrap_pyfunction!(detect::detect_markers, module)?)?;

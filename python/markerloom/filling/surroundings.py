@@ -73,14 +73,10 @@ def spreads(xyz_mm: Array) -> Array:
     return found
 
 
-def surroundings(
-    xyz_mm: Array, marker: int, first: int, last: int, spread: Array, rate_hz: float, hidden: NDArray[np.bool_]
-) -> Surroundings:
-    """The surroundings of a gap from frame ``first`` to before ``last`` (rows of ``xyz_mm``, (frames, markers, 3)).
-
-    ``hidden``: markers that are absent during the gap; they cannot be neighbours.
+def surroundings(xyz_mm: Array, marker: int, first: int, last: int, neighbours: Ints, rate_hz: float) -> Surroundings:
+    """The surroundings of a gap from frame ``first`` to before ``last`` (rows of ``xyz_mm``, (frames, markers, 3)), as
+    these ``neighbours`` see it (see `neighbours_of`).
     """
-    neighbours = _neighbours(xyz_mm, marker, first, last, spread, hidden)
     reach = round(WINDOW_S * rate_hz) + 2 * (last - first)
     low, high = max(0, first - reach), min(len(xyz_mm), last + reach)
     seen = np.isfinite(xyz_mm[low:high, neighbours]).all(axis=(1, 2)) if len(neighbours) else np.zeros(0, bool)
@@ -92,21 +88,17 @@ def surroundings(
             np.zeros((len(frames), 0, 3)), np.zeros((len(frames), 3, 3)), np.zeros((len(frames), 3)),
         )  # fmt: skip
     frames = low + np.flatnonzero(seen)
-    places = xyz_mm[frames][:, neighbours]
-    middle = places.mean(axis=1)
-    about = places - middle[:, None]
-    near = np.searchsorted(frames, first)
-    reference = about[min(near, len(about) - 1)]
-    turn = _core.turns_onto(np.ascontiguousarray(reference), np.ascontiguousarray(about))
-    local = np.einsum("fji,fj->fi", turn, xyz_mm[frames, marker] - middle)
-    features = np.einsum("fji,fkj->fki", turn, about).reshape(len(frames), -1)
-    return Surroundings(marker, neighbours, frames, xyz_mm[frames, marker], local, features, places, turn, middle)
+    places = xyz_mm[frames[:, None], neighbours]
+    world = xyz_mm[frames, marker]
+    near = min(int(np.searchsorted(frames, first)), len(frames) - 1)
+    middle, turn, local, features = _core.in_frames_of(places, world, near)
+    return Surroundings(marker, neighbours, frames, world, local, features, places, turn, middle)
 
 
-def _neighbours(xyz_mm: Array, marker: int, first: int, last: int, spread: Array, hidden: NDArray[np.bool_]) -> Ints:
+def neighbours_of(xyz_mm: Array, marker: int, first: int, last: int, spread: Array) -> Ints:
     """The most rigid neighbours that are there during the gap and beside it, the first three of which span a plane."""
     inside = slice(max(0, first - 1), min(len(xyz_mm), last + 1))
-    usable = np.isfinite(xyz_mm[inside]).all(axis=(0, 2)) & ~hidden & np.isfinite(spread[marker])
+    usable = np.isfinite(xyz_mm[inside]).all(axis=(0, 2)) & np.isfinite(spread[marker])
     order = [int(m) for m in np.argsort(spread[marker], kind="stable") if usable[m]]
     place = xyz_mm[max(0, first - 1)]
     chosen: list[int] = []

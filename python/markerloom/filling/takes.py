@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,14 +14,17 @@ from numpy.typing import NDArray
 from markerloom.errors import InputError
 from markerloom.filling.auto import SHAPE, Choice, choose, expected, learnable, thinned
 from markerloom.filling.methods import METHODS, TRIED, Gap
-from markerloom.filling.surroundings import FEWEST, Surroundings, spreads, surroundings
+from markerloom.filling.surroundings import FEWEST, Surroundings, neighbours_of, spreads, surroundings
 from markerloom.points import KINDS, Points
 from markerloom.reconstruct import Progress
 from markerloom.trajectories import ABSENT, FILLED, Trajectories
 
 Array = NDArray[np.floating[Any]]
+Ints = NDArray[np.int64]
 
 LONGEST_S = 2.0
+MOST_THREADS = 4
+"""Beyond this many, threads wait for each other: what is not in the engine runs one at a time."""
 PREDICTED = KINDS.index("predicted")
 ALIKE_S = 15.0
 """Gaps of one marker within this time share a choice, when their lengths are of one size (s)."""
@@ -84,7 +89,7 @@ def fill(
     usual = {size: _pooled_mm(plans, size) for size in {plan.size for plan in plans}}
     noise = {slot: _noise_mm(sigma_mm[:, slot]) for slot in {plan.hole.slot for plan in plans}}
     for plan in plans:
-        result = _filled(take, plan, usual[plan.size], noise[plan.hole.slot])
+        result = _filled(plan, usual[plan.size], noise[plan.hole.slot])
         if result is not None:
             inside = (slice(plan.hole.first, plan.hole.last), plan.hole.slot)
             xyz_mm[inside], sigma_mm[inside], how = result
@@ -141,36 +146,54 @@ def _described(take: Trajectories, hole: _Hole) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Plan:
-    """A gap with its surroundings and how it will be filled."""
+    """A gap with how it will be filled: the choice, and what each of its methods says (frames, 3)."""
 
     hole: _Hole
-    around: Surroundings
     size: int
     choice: Choice
     tried: bool
+    parts: dict[str, Array]
 
 
 def _plans(
     take: Trajectories, holes: list[_Hole], methods: tuple[str, ...], rate_hz: float, progress: Progress | None
 ) -> list[_Plan]:
     """How every gap will be filled; gaps of one marker that are alike and near each other share what was tried."""
-    known: dict[tuple[int, int, int, bytes], Choice | None] = {}
     spread = spreads(take.xyz_mm) if holes else np.zeros((0, 0))
-    plans = []
-    for number, hole in enumerate(holes):
-        hidden = np.asarray((take.kind[max(0, hole.first - 1) : hole.last + 1] == ABSENT).any(axis=0))
-        around = surroundings(take.xyz_mm, hole.slot, hole.first, hole.last, spread, rate_hz, hidden)
-        size = round(2.0 * np.log2(hole.last - hole.first))
-        key = (hole.slot, size, int(hole.first / (ALIKE_S * rate_hz)), around.neighbours.tobytes())
-        if key not in known:
-            own = take.xyz_mm[:, hole.slot]
-            known[key] = choose(around, own, hole.first, hole.last, methods, rate_hz)
-        length_s = (hole.last - hole.first) / rate_hz
-        plans.append(
-            _Plan(hole, around, size, known[key] or _untried(around, methods, length_s), known[key] is not None)
-        )
-        if progress:
-            progress(number + 1, len(holes))
+    alike: dict[tuple[int, int, int, bytes], list[tuple[_Hole, Ints]]] = {}
+    for hole in holes:
+        neighbours = neighbours_of(take.xyz_mm, hole.slot, hole.first, hole.last, spread)
+        key = (hole.slot, _size(hole), int(hole.first / (ALIKE_S * rate_hz)), neighbours.tobytes())
+        alike.setdefault(key, []).append((hole, neighbours))
+    plans: dict[_Hole, _Plan] = {}
+    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
+        for found in pool.map(lambda some: _planned(take, some, methods, rate_hz), alike.values()):
+            plans |= {plan.hole: plan for plan in found}
+            if progress:
+                progress(len(plans), len(holes))
+    return [plans[hole] for hole in holes]
+
+
+def _size(hole: _Hole) -> int:
+    return round(2.0 * np.log2(hole.last - hole.first))
+
+
+def _planned(
+    take: Trajectories, alike: list[tuple[_Hole, Ints]], methods: tuple[str, ...], rate_hz: float
+) -> list[_Plan]:
+    """Gaps that are alike, by what was tried for the first of them."""
+    plans: list[_Plan] = []
+    known: Choice | None = None
+    for hole, neighbours in alike:
+        around = surroundings(take.xyz_mm, hole.slot, hole.first, hole.last, neighbours, rate_hz)
+        own = take.xyz_mm[:, hole.slot]
+        if not plans:
+            known = choose(around, own, hole.first, hole.last, methods, rate_hz)
+        choice = known or _untried(around, methods, (hole.last - hole.first) / rate_hz)
+        gap = Gap(around, own, hole.first, hole.last, thinned(learnable(around), around, hole.first, hole.last))
+        parts = {m: METHODS[m](gap) for m in choice.weights}
+        found = {m: p for m, p in parts.items() if p is not None and np.isfinite(p).all()}
+        plans.append(_Plan(hole, _size(hole), choice, known is not None, found))
     return plans
 
 
@@ -186,16 +209,9 @@ def _noise_mm(sigma_mm: Array) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _filled(
-    take: Trajectories, plan: _Plan, pooled_mm: float, noise_mm: float
-) -> tuple[Array, Array, dict[str, Any]] | None:
+def _filled(plan: _Plan, pooled_mm: float, noise_mm: float) -> tuple[Array, Array, dict[str, Any]] | None:
     """Places, sigmas, and how they were found; ``None`` where no method can."""
-    hole, choice = plan.hole, plan.choice
-    own = take.xyz_mm[:, hole.slot]
-    learn = thinned(learnable(plan.around), plan.around, hole.first, hole.last)
-    gap = Gap(plan.around, own, hole.first, hole.last, learn)
-    parts = {m: METHODS[m](gap) for m in choice.weights}
-    found = {m: p for m, p in parts.items() if p is not None and np.isfinite(p).all()}
+    hole, choice, found = plan.hole, plan.choice, plan.parts
     if not found:
         return None
     total = sum(choice.weights[m] for m in found)
