@@ -65,18 +65,19 @@ def choose(
     apart = round(APART_S * rate_hz)
     usable = learnable(around)
     tried = list(methods)
-    # All that is looked at lies near the gap or a stretch.
-    hidden = own[: int(around.frames[-1]) + length + KNOTS].copy()
+    begins = max(0, int(around.frames[0]) - KNOTS)
+    hidden = own[begins : int(around.frames[-1]) + 1 + KNOTS].copy()
     for number, start in enumerate(stretches):
         frames = around.frames[usable]
         away = (frames < start - apart) | (frames >= start + length + apart)
-        hidden[start : start + length] = np.nan
-        gap = Gap(around, hidden, start, start + length, thinned(usable[away], around, start, start + length))
-        truth = own[start : start + length]
+        inside, truth = slice(start - begins, start - begins + length), own[start : start + length]
+        hidden[inside] = np.nan
+        learn = thinned(usable[away], around, start, start + length)
+        gap = Gap(around, hidden, start, start + length, learn, begins)
         for method in tried:
             filled = METHODS[method](gap)
             errors[method].append(np.full_like(truth, np.nan) if filled is None else filled - truth)
-        hidden[start : start + length] = truth
+        hidden[inside] = truth
         if number + 1 == HOPELESS_AFTER:
             tried = _worth_it(errors)
     kept = [m for m in tried if errors[m] and np.isfinite(errors[m]).all()]

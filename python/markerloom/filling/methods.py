@@ -28,20 +28,23 @@ KNOTS = 8
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap from frame ``first`` to before ``last``, and the rows of the surroundings one may learn from."""
+    """A gap from frame ``first`` to before ``last``, and the rows of the surroundings one may learn from. ``own``: the
+    marker from frame ``begins`` on, NaN where it is not seen.
+    """
 
     around: Surroundings
     own: Array
     first: int
     last: int
     learn: Ints
+    begins: int = 0
 
 
 def constant(gap: Gap) -> Array | None:
     """The nearer of the values on both sides."""
     times = np.arange(gap.first, gap.last)
     nearer = times - gap.first < gap.last - 1 - times
-    return np.where(nearer[:, None], gap.own[gap.first - 1], gap.own[gap.last])
+    return np.where(nearer[:, None], gap.own[gap.first - 1 - gap.begins], gap.own[gap.last - gap.begins])
 
 
 def linear(gap: Gap) -> Array | None:
@@ -60,14 +63,14 @@ def quintic(gap: Gap) -> Array | None:
 
 
 def _spline(gap: Gap, order: int) -> Array | None:
-    low, high = max(0, gap.first - KNOTS), min(len(gap.own), gap.last + KNOTS)
+    low, high = max(gap.begins, gap.first - KNOTS), min(gap.begins + len(gap.own), gap.last + KNOTS)
     times = np.concatenate([np.arange(low, gap.first), np.arange(gap.last, high)])
-    times = times[np.isfinite(gap.own[times]).all(axis=1)]
+    times = times[np.isfinite(gap.own[times - gap.begins]).all(axis=1)]
     if len(times) <= order or not (times < gap.first).any() or not (times >= gap.last).any():
         return None
     if order == 1:
         times = np.array([gap.first - 1, gap.last])
-    return make_interp_spline(times, gap.own[times], k=order)(np.arange(gap.first, gap.last))
+    return make_interp_spline(times, gap.own[times - gap.begins], k=order)(np.arange(gap.first, gap.last))
 
 
 def _from_neighbours(way: str) -> Callable[[Gap], Array | None]:
