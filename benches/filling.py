@@ -1,12 +1,17 @@
 """How well gaps are filled: markers of real takes hidden, filled by every method, compared with what they were.
 
 python benches/filling.py [FOLDER of labelled takes] [--gaps=N] [--seed=N]
+
+The ways of the package gapfill (pip install gapfill) stand beside ours where it is installed.
 """
 
 from __future__ import annotations
 
 import sys
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +26,13 @@ FOLDER = Path(__file__).resolve().parents[2] / "shared/data/labelling"
 TAKES = ("cmu-85_02.c3d", "fullbody-44.c3d", "KneeltoProne01.c3d", "PronetoRun01.c3d")
 LENGTHS_S = (0.1, 0.5, 2.0)
 AT_ONCE = 4
+PEERS = {
+    "gapfill interp": ("fill_marker_gap_interp", 0),
+    "gapfill pattern": ("fill_marker_gap_pattern", 1),
+    "gapfill pattern2": ("fill_marker_gap_pattern2", 1),
+    "gapfill rbt": ("fill_marker_gap_rbt", 3),
+}
+"""Functions of the package gapfill, and how many other markers they need."""
 
 
 def main() -> None:
@@ -56,7 +68,8 @@ def cell(
     rate = take.points.rate_hz or 100.0
     length = round(length_s * rate)
     rng = np.random.default_rng(seed)
-    errors: dict[str, list[float]] = {m: [] for m in ("auto", *METHODS, "two spheres")}
+    peers = PEERS if find_spec("gapfill") else {}
+    errors: dict[str, list[float]] = {m: [] for m in ("auto", *METHODS, "two spheres", *peers)}
     ratios: list[float] = []
     while len(errors["auto"]) < gaps:
         holes = hidden_stretches(take, spread, rng, three, length)
@@ -75,6 +88,8 @@ def cell(
                     ratios += (off / filled.sigma_mm[inside] ** 2).mean(axis=0).tolist()
         for first, slots in holes:
             errors["two spheres"] += [two_spheres(xyz_mm, take.xyz_mm, spread, s, first, length) for s in slots]
+            for peer in peers:
+                errors[peer] += [by_peer(peer, xyz_mm, take.xyz_mm, spread, s, first, length) for s in slots]
     return {m: [v for v in values if np.isfinite(v)] for m, values in errors.items()}, ratios
 
 
@@ -109,6 +124,24 @@ def two_spheres(
         before, place = place, found
         off.append(((found - true_mm[frame, slot]) ** 2).sum())
     return float(np.sqrt(np.mean(off)))
+
+
+def by_peer(
+    peer: str, seen_mm: np.ndarray, true_mm: np.ndarray, spread: np.ndarray, slot: int, first: int, length: int
+) -> float:
+    """A way of the package gapfill, with the most rigid markers that are seen as its donor or cluster."""
+    for name, own in (("int", int), ("float", float), ("bool", bool)):
+        setattr(np, name, own)  # its last version (0.0.7) asks for names that NumPy has given up
+    package: Any = import_module("gapfill")
+    function, needed = PEERS[peer]
+    around = slice(max(0, first - 10), first + length + 10)
+    visible = np.asarray(np.isfinite(seen_mm[around]).all(axis=(0, 2)))
+    near = [int(s) for s in np.argsort(spread[slot]) if visible[s] and s != slot][:needed]
+    others = [] if not near else [seen_mm[:, near[0]].copy() if needed == 1 else seen_mm[:, near].swapaxes(0, 1).copy()]
+    place = seen_mm[:, slot].copy()
+    getattr(package, function)(place, *others)
+    off = place[first : first + length] - true_mm[first : first + length, slot]
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":
