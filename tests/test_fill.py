@@ -1,5 +1,6 @@
 """Filling and smoothing: exact where it must be, expected errors with noise, gaps respected, nothing silent."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,3 +135,32 @@ def test_outliers_are_thrown_away_and_fast_motion_is_not() -> None:
 def test_a_cut_off_above_half_the_rate_is_refused() -> None:
     with pytest.raises(ml.InputError, match="half the frame rate"):
         ml.smooth(points_of(figure("walk", 1, 50), names_of(41)), cutoff_hz=60.0)
+
+
+def test_virtual_markers_follow_from_their_markers(tmp_path: Path) -> None:
+    from markerloom.points import KINDS
+    from test_cli import run
+
+    rng = np.random.default_rng(0)
+    xyz_mm = np.cumsum(rng.normal(0.0, 2.0, (80, 4, 3)), axis=0) + 500.0 * np.arange(4)[:, None]
+    names = ["LPSI", "RPSI", "LASI", "C7"]
+    take = points_of(xyz_mm, names)
+    take = replace(take, sigma_mm=np.full(len(take), 0.6), kind=np.where(take.frame == 7, KINDS.index("filled"), 0))
+    take = take.keep(~((take.label == "RPSI") & (take.frame == 9)))
+    made = ml.with_virtual_markers(take, ml.read_marker_set("plug-in-gait-39"))
+    own = made.keep(made.label == "SACR")
+    assert sorted(set(made.label)) == ["C7", "LASI", "LPSI", "RPSI", "SACR"], "no MASI without RASI"
+    assert own.frame.tolist() == [f for f in range(80) if f != 9]
+    np.testing.assert_allclose(own.xyz_mm, xyz_mm[own.frame][:, :2].mean(axis=1), atol=1e-9)
+    np.testing.assert_allclose(own.sigma_mm, 0.6 / np.sqrt(2.0))
+    assert own.kind[7] == KINDS.index("filled")
+    assert own.kind[8] == 0
+    again = ml.with_virtual_markers(made, ml.read_marker_set("plug-in-gait-39"))
+    assert len(again) == len(made)
+    with pytest.raises(ml.InputError, match="has no virtual markers"):
+        ml.with_virtual_markers(take, ml.read_marker_set("minimal-14"))
+    with pytest.raises(ml.InputError, match="has not the markers of any virtual one"):
+        ml.with_virtual_markers(take.keep(take.label == "C7"), ml.read_marker_set("plug-in-gait-39"))
+    take.save(tmp_path / "take.c3d")
+    run("fill", tmp_path / "take.c3d", "-o", tmp_path / "out.c3d", "--virtual", "plug-in-gait-39")
+    assert (ml.read_points(tmp_path / "out.c3d").label == "SACR").sum() == 80

@@ -1,7 +1,9 @@
 """Projects: the whole chain, what is not computed again, takes that fail, settings that cascade."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import markerloom as ml
@@ -88,3 +90,18 @@ def test_a_project_from_dots_to_names(tmp_path: Path) -> None:
     row = ml.process(folder)["takes"][0]
     assert row["ran"] == ["track", "label", "fill"]
     assert row["named"] > 0.9
+
+
+def test_virtual_markers_are_exported(project: Path) -> None:
+    first, second = names_of(41)[:2]
+    points_of(figure("walk", 2, 20), names_of(41)).save(project / "takes/named.c3d")
+    made = replace(ml.read_marker_set(project / "takes/named.c3d"), virtual={"MIDDLE": (first, second)})
+    ml.write_marker_set(made, project / "ours.toml")
+    (project / "takes/named.c3d").unlink()
+    text = (project / "markerloom.toml").read_text()
+    ml.process(project)
+    (project / "markerloom.toml").write_text(text + 'virtual = "ours.toml"\n')
+    assert [r["ran"] for r in ml.process(project)["takes"]] == [[], []]
+    points = ml.read_points(project / "results/one/one.c3d")
+    place = {n: points.xyz_mm[points.label == n] for n in (first, second, "MIDDLE")}
+    np.testing.assert_allclose(place["MIDDLE"], (place[first] + place[second]) / 2.0, atol=1e-3)

@@ -93,6 +93,7 @@ from markerloom.subjects import (
     marker_sets,
     read_marker_set,
     read_subject,
+    with_virtual_markers,
     write_marker_set,
     write_subject,
 )
@@ -236,6 +237,7 @@ __all__ = [
     "truth_without_views",
     "two_rays",
     "view",
+    "with_virtual_markers",
     "without_excluded",
     "write_calibration",
     "write_edits",

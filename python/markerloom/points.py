@@ -98,6 +98,13 @@ class Points:
         turned = [x, z, -y] if up == "y" else [x, -z, y]
         return replace(self, xyz_mm=np.column_stack(turned), up_axis=up)
 
+    def joined(self, other: Points) -> Points:
+        """These trajectories, and after them those of another take of the same frames, under numbers of their own."""
+        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in COLUMNS}
+        both["track"][len(self) :] += 1 + self.track.max(initial=-1)
+        together = replace(self, **both)
+        return together.keep(np.lexsort([together.track, together.frame]))
+
     def slots(self) -> tuple[list[str], Ints]:
         """Trajectories for formats with one column per marker: their names, and the column of each row.
 

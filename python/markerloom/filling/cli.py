@@ -17,6 +17,7 @@ from markerloom.points import Points
 from markerloom.smoothing import AVERAGE_S, CUTOFF_HZ
 from markerloom.smoothing import METHODS as SMOOTHERS
 from markerloom.smoothing import smooth as run_smooth
+from markerloom.subjects import read_marker_set, with_virtual_markers
 
 Take = Annotated[Path, typer.Argument(help="Points: .c3d, .trc, .parquet, .csv or .tsv")]
 Output = Annotated[Path, typer.Option("-o", "--output", help=".c3d, .trc, .parquet or .csv")]
@@ -33,6 +34,9 @@ def fill(
     markers: Annotated[str | None, typer.Option(help="Only these, with commas between.")] = None,
     predicted: Annotated[bool, typer.Option("--predicted", help="Fill anew what a tracker carried.")] = False,
     frames: Annotated[str | None, typer.Option("--frames", help="Only gaps that meet these.", metavar="A:B")] = None,
+    virtual: Annotated[
+        str | None, typer.Option("--virtual", help="Add the virtual markers of this set: its name, or SET.toml.")
+    ] = None,
     rate_hz: Rate = None,
     report: ReportFile = None,
     quiet: Quiet = False,
@@ -54,7 +58,8 @@ def fill(
         frames=frame_range(frames),
     )
     result = filled.report
-    _finish(filled, output, [take], options, result, report)
+    done = filled if virtual is None else with_virtual_markers(filled, read_marker_set(virtual))
+    _finish(done, output, [take], options, result, report)
     if not quiet:
         for text in result["warnings"]:
             typer.echo(f"warning: {text}", err=True)

@@ -29,7 +29,7 @@ from markerloom.skeleton.contacts import find_contacts
 from markerloom.skeleton.page import save_motion_page
 from markerloom.skeleton.wearer import has_markers
 from markerloom.smoothing import smooth
-from markerloom.subjects import read_marker_set, read_subject
+from markerloom.subjects import read_marker_set, read_subject, with_virtual_markers
 from markerloom.track import track
 
 RESULTS = "results"
@@ -95,13 +95,7 @@ def _one(project: Project, settings: TakeSettings, viewer: Viewer | None) -> dic
     if edits.of_points:
         key = key_of(key, edits.plain(), VERSIONS["mend"])
         points, reports["mend"] = stages.points("mend", key, lambda: _mended(made.points, edits))
-    exported = []
-    for kind in settings.export:
-        target, note = stages.folder / f"{settings.name}{kind}", stages.folder / f".{settings.name}{kind}.key"
-        if not target.is_file() or not note.is_file() or note.read_text("utf-8") != key:
-            formats.write_points(points, target)
-            write_text(note, key)
-        exported.append(target.name)
+    exported = _exported(stages, settings, points, key)
     if settings.skeleton:
         reports["solve"] = _solve(stages, settings, points, key, edits)
         exported += [f"{settings.name}{kind}" for kind in settings.solve_to]
@@ -163,6 +157,22 @@ def automatic(project: Project, settings: TakeSettings) -> Automatic:
 def _mended(points: Points, edits: EditList) -> tuple[Points, dict[str, Any]]:
     made = mend(points, edits)
     return made, made.report
+
+
+def _exported(stages: Stages, settings: TakeSettings, points: Points, key: str) -> list[str]:
+    """The take in the files that are asked for, with its virtual markers if they are asked for."""
+    more = read_marker_set(settings.virtual) if settings.virtual else None
+    if more is not None:
+        key = key_of(key, sorted(more.virtual.items()))
+        points = with_virtual_markers(points, more)
+    exported = []
+    for kind in settings.export:
+        target, note = stages.folder / f"{settings.name}{kind}", stages.folder / f".{settings.name}{kind}.key"
+        if not target.is_file() or not note.is_file() or note.read_text("utf-8") != key:
+            formats.write_points(points, target)
+            write_text(note, key)
+        exported.append(target.name)
+    return exported
 
 
 def _solve(stages: Stages, settings: TakeSettings, points: Points, key: str, edits: EditList) -> dict[str, Any]:

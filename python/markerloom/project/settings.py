@@ -9,6 +9,7 @@ rate_hz = 100.0
 longest_s = 2.0
 smooth = "none"
 export = [".c3d"]
+virtual = "plug-in-gait-39"         # export the virtual markers of this set, too: its name or file
 skeleton = "hanim-loa1"             # solve a skeleton, too; solve_to = [".bvh"]; hints and fit_from as for `solve`
 
 [takes.walk-1]                      # without any, every file in the folder takes/
@@ -47,6 +48,7 @@ class TakeSettings:
     longest_s: float = 2.0
     smooth: str = "none"
     cutoff_hz: float = 6.0
+    virtual: str = ""
     export: tuple[str, ...] = (".c3d",)
     skeleton: str = ""
     hints: str = ""
@@ -140,6 +142,7 @@ def _placed(settings: TakeSettings, folder: Path) -> TakeSettings:
         calibration=at(settings.calibration),
         subjects=tuple(at(s) for s in settings.subjects),
         marker_set=at(settings.marker_set) if named else settings.marker_set,
+        virtual=at(settings.virtual) if settings.virtual and (folder / settings.virtual).exists() else settings.virtual,
         skeleton=at(settings.skeleton) if own else settings.skeleton,
         hints=at(settings.hints),
         fit_from=at(settings.fit_from),

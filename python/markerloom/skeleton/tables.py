@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
 from markerloom.formats import table_file
-from markerloom.points import COLUMNS, KINDS, Points
+from markerloom.points import KINDS, Points
 from markerloom.skeleton.isb import joint_angles
 from markerloom.skeleton.motion import Motion
 
@@ -40,11 +39,7 @@ def as_points(motion: Motion) -> Points:
 
 def with_markers(joints: Points, take: Points) -> Points:
     """The joints of a motion and the named markers of the take that it was solved from, frame by frame."""
-    named = take.keep((take.label != "") & np.isin(take.frame, joints.frames))
-    both = {name: np.concatenate([getattr(joints, name), getattr(named, name)]) for name in COLUMNS}
-    both["track"][len(joints) :] += 1 + joints.track.max(initial=-1)
-    together = replace(joints, **both)
-    return together.keep(np.lexsort([together.track, together.frame]))
+    return joints.joined(take.keep((take.label != "") & np.isin(take.frame, joints.frames)))
 
 
 def write(motion: Motion, path: str | Path) -> None:

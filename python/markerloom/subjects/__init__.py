@@ -3,6 +3,7 @@
 from markerloom.subjects.create import create_subject
 from markerloom.subjects.marker_set import MarkerSet, marker_sets, read_marker_set, write_marker_set
 from markerloom.subjects.subject import Subject, read_subject, with_markers, write_subject
+from markerloom.subjects.virtual import with_virtual_markers
 
 __all__ = [
     "MarkerSet",
@@ -12,6 +13,7 @@ __all__ = [
     "read_marker_set",
     "read_subject",
     "with_markers",
+    "with_virtual_markers",
     "write_marker_set",
     "write_subject",
 ]
