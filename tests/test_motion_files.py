@@ -444,3 +444,16 @@ def _joints(made: Motion, folder: Path) -> Path:
 
     as_points(made).save(folder / "joints.c3d")
     return folder / "joints.c3d"
+
+
+def test_poses_alone_have_no_markers_to_speak_of(tmp_path: Path) -> None:
+    from test_cli import run
+
+    made = _slow(motion(seed=14, reach=0.3))
+    ml.write_motion(made, tmp_path / "poses.csv")
+    page = tmp_path / "p.html"
+    solve = ("solve", tmp_path / "poses.csv", "-o", tmp_path / "m.bvh", "--rate-hz", "100")
+    assert "--page belong to a take with markers" in run(*solve, "--page", page, code=1)
+    assert not (tmp_path / "m.bvh").exists()
+    run(*solve)
+    assert len(ml.read_motion(tmp_path / "m.bvh")) == 100

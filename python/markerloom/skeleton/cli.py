@@ -61,12 +61,11 @@ def solve(
         raise typer.BadParameter(f"{output}: motions are written as {', '.join(MOTIONS_WRITTEN)}")
     style = {"units": units, "up": up, "order": order, "rest": rest, "radians": radians, "preset": preset}
     if is_segment_poses(take):
+        _refuse_without_markers(take, options)
         motion = solve_segments(_poses(take, skeleton, rate_hz))
+        written = write_motion(motion, output, **style)  # pyright: ignore[reportArgumentType]
         _finish([take], options, {"frames": len(motion), "joints": len(motion.skeleton)}, report)
-        _say(
-            quiet,
-            f"{len(motion)} frames, {len(motion.skeleton)} joints → {_names(write_motion(motion, output, **style))}",
-        )  # pyright: ignore[reportArgumentType]
+        _say(quiet, f"{len(motion)} frames, {len(motion.skeleton)} joints → {_names(written)}")
         return
     points = formats.read_points(take)
     sensors = None if poses is None else _poses(poses, skeleton, rate_hz or points.rate_hz)
@@ -90,6 +89,15 @@ def solve(
         f"{len(solved.motion)} frames, {len(solved.motion.skeleton)} joints; markers {off['rms']:.2f} mm rms "
         f"({off['median']:.2f} median) from the skeleton, {len(solved.contacts)} contacts → {_names(written)}",
     )
+
+
+OF_MARKERS = ("subject", "marker_set", "hints", "fit_from", "skeleton_out", "poses", "contacts", "contacts_out", "page")
+
+
+def _refuse_without_markers(take: Path, options: dict[str, Any]) -> None:
+    given = [f"--{name.replace('_', '-')}" for name in OF_MARKERS if options[name] is not None]
+    if given:
+        raise InputError(f"{', '.join(given)} belong to a take with markers; {take} holds poses of segments")
 
 
 def _poses(path: Path, skeleton: str, rate_hz: float | None) -> SegmentPoses:
