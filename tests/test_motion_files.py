@@ -406,6 +406,7 @@ def test_segments_of_a_markerless_system_are_solved(tmp_path: Path) -> None:
     off_mm = 1000.0 * np.linalg.norm(ml.solve_segments(poses).joints_m() - poses.place_m, axis=2)
     legs = [skeleton.joints.index(n) for n in ("l_thigh", "l_shank", "l_foot", "l_toes")]
     assert np.nanmedian(off_mm[:, legs]) < 3.0
+    assert "l_uarm" in run("inspect", path)
     run("solve", path, "-o", tmp_path / "m.bvh")
     assert len(ml.read_motion(tmp_path / "m.bvh")) == 340
 
@@ -457,3 +458,16 @@ def test_poses_alone_have_no_markers_to_speak_of(tmp_path: Path) -> None:
     assert not (tmp_path / "m.bvh").exists()
     run(*solve)
     assert len(ml.read_motion(tmp_path / "m.bvh")) == 100
+
+
+def test_a_solved_take_holds_its_markers_and_can_be_solved_again(tmp_path: Path) -> None:
+    from skeleton_truth import rom
+    from test_cli import run
+    from test_label import points_of
+
+    names, xyz_mm, _, _ = rom(seed=3, frames=300, rate_hz=50.0)
+    points_of(xyz_mm, [f"Anna:{n}" for n in names]).save(tmp_path / "take.c3d")
+    run("solve", tmp_path / "take.c3d", "-o", tmp_path / "solved.c3d")
+    labels = set(ml.read_points(tmp_path / "solved.c3d").label)
+    assert {f"Anna:{names[0]}", "Anna:l_knee"} <= labels
+    assert "markers on no segment" in run("solve", tmp_path / "solved.c3d", "-o", tmp_path / "again.bvh")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from markerloom.formats import table_file
 from markerloom.points import KINDS, Points
 from markerloom.skeleton.isb import joint_angles
 from markerloom.skeleton.motion import Motion
+from markerloom.subjects.names import prefixes
 
 TOLD, INFERRED = "measured", "filled"
 
@@ -38,8 +40,14 @@ def as_points(motion: Motion) -> Points:
 
 
 def with_markers(joints: Points, take: Points) -> Points:
-    """The joints of a motion and the named markers of the take that it was solved from, frame by frame."""
-    return joints.joined(take.keep((take.label != "") & np.isin(take.frame, joints.frames)))
+    """The joints of a motion and the named markers of the take that it was solved from, frame by frame; joints bear the
+    take's prefix where its markers have one.
+    """
+    named = take.keep((take.label != "") & np.isin(take.frame, joints.frames))
+    whose = prefixes(np.unique(named.label).tolist())
+    if len(whose) == 1 and whose[0]:
+        joints = replace(joints, label=np.char.add(f"{whose[0]}:", joints.label))
+    return joints.joined(named)
 
 
 def write(motion: Motion, path: str | Path) -> None:
