@@ -128,7 +128,6 @@ def _c3d(path: str | Path) -> dict[str, Any]:
         "parameters": groups,
         "warnings": file.warnings,
     }
-    segments = file.strings("ROTATION", "LABELS") if c3d_file.has_segments(path) else []
-    if segments:
-        result["segments"] = [name.removesuffix("_4X4") for name in segments]
+    if segments := c3d_file.segment_names(file):
+        result["segments"] = segments
     return result

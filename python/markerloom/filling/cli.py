@@ -48,6 +48,7 @@ def fill(
     options = {k: v for k, v in locals().items() if k not in ("report", "quiet")}
     wanted = None if markers is None else markers.split(",")
     points = _read(take, output)
+    more = None if virtual is None else read_marker_set(virtual)
     filled = run_fill(
         points,
         method=method,
@@ -58,7 +59,7 @@ def fill(
         frames=frame_range(frames),
     )
     result = filled.report
-    done = filled if virtual is None else with_virtual_markers(filled, read_marker_set(virtual))
+    done = filled if more is None else with_virtual_markers(filled, more)
     _finish(done, output, [take], options, result, report)
     if not quiet:
         for text in result["warnings"]:

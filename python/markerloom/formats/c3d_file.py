@@ -139,7 +139,7 @@ def read_segments(path: str | Path) -> tuple[Segments, float | None]:
     """
     file = read_file(path)
     values = file.rotations().astype(float)
-    labels = [n.removesuffix("_4X4") for n in file.strings("ROTATION", "LABELS")]
+    labels = segment_names(file)
     if not values.shape[1]:
         raise FormatError(path, "holds no poses of segments (a group ROTATION)")
     if len(labels) != values.shape[1] or len(set(labels)) != len(labels):
@@ -155,9 +155,9 @@ def read_segments(path: str | Path) -> tuple[Segments, float | None]:
     return Segments(labels, place, turn), float(file.rate_hz) if file.rate_hz > 0 else None
 
 
-def has_segments(path: str | Path) -> bool:
-    """Whether a file holds poses of segments."""
-    return read_file(path).rotations().shape[1] > 0
+def segment_names(file: _core.C3d) -> list[str]:
+    """The segments whose poses a file holds."""
+    return [n.removesuffix("_4X4") for n in file.strings("ROTATION", "LABELS")]
 
 
 def read(path: str | Path) -> Points:

@@ -45,8 +45,8 @@ STILL = 1e-6
 
 def read(path: str | Path) -> SegmentPoses:
     """The poses of a file's segments, and the skeleton that they make: joints at the segments' origins, bones as long
-    as they are in the middle of all frames. Segments hang from each other as their names say; one of another name hangs
-    from that in whose axes its origin moves least.
+    as they are in the middle of all frames. A segment hangs from that in whose axes its origin strays least, parts of
+    the body rather from what their names say.
 
     Raises ``FormatError`` where there is no segment that moves, or one is never seen together with another.
     """

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from markerloom.errors import InputError
+from markerloom.skeleton.contacts import Pin
 from markerloom.skeleton.isb import arms_hanging
 from markerloom.skeleton.motion import Motion
 from markerloom.skeleton.mvnx import SegmentPoses
@@ -23,7 +24,6 @@ from markerloom.skeleton.placing import split_side
 from markerloom.skeleton.skeleton import Skeleton
 
 Array = NDArray[np.floating[Any]]
-Pin = tuple[int, int, list[float], list[float], float]
 Turn = tuple[int, int, list[float], float]
 PLACE_SIGMA_M, TURN_SIGMA_RAD = 0.005, np.deg2rad(1.0)
 """How far sensors' places and turns are trusted where nothing else is said."""

@@ -70,7 +70,8 @@ def is_segment_poses(path: str | Path) -> bool:
     """Whether a file holds poses of segments and no points: .mvnx, a table of poses, a .c3d with a group ROTATION."""
     kind = ending(path)
     if kind == ".c3d":
-        return c3d_file.has_segments(path) and not len(c3d_file.read(path))
+        file = c3d_file.read_file(path)
+        return bool(c3d_file.segment_names(file)) and not (file.residuals()[0] >= 0).any()
     if kind in TABLE_ENDINGS:
         columns = table_file.columns(path)
         return set(COLUMNS) <= set(columns) and any(c in columns for c in NAMES)

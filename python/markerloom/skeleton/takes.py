@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.points import KINDS, Points
-from markerloom.skeleton.contacts import FEET, Contact, find_contacts, pins_of, slides_mm
+from markerloom.skeleton.contacts import FEET, Contact, Pin, find_contacts, pins_of, slides_mm
 from markerloom.skeleton.definition import read_skeleton
 from markerloom.skeleton.fitting import Wearer, fit_skeleton
 from markerloom.skeleton.motion import Motion, angles, turns_of
-from markerloom.skeleton.mounts import Mounts, Pin, Turn, at_frames_of, held_by, learn_mounts
+from markerloom.skeleton.mounts import Mounts, Turn, at_frames_of, held_by, learn_mounts
 from markerloom.skeleton.mvnx import SegmentPoses
 from markerloom.skeleton.placing import Hints
 from markerloom.skeleton.skeleton import Skeleton
