@@ -85,6 +85,24 @@ def test_identities_bring_back_markers_that_motion_cannot(blinking: ml.Simulated
     assert sum(bool(before[n] & after[n]) for n in before) >= len(before) - 2
 
 
+def test_all_cameras_together_name_what_no_camera_could(blinking: ml.SimulatedTake) -> None:
+    """Dots of some markers never tell anything of themselves: their brightness along the trajectory does."""
+    told, _ = ml.leds(blinking.observations)
+    silent = {3, 17, 29}
+    identity = np.where(np.isin(told.optional["id"], list(silent)), -1, told.optional["id"])
+    quiet = replace(told, optional={**told.optional, "id": identity})
+    points = ml.track(quiet, blinking.rig)
+    labels = list(dict.fromkeys(blinking.truth.label.tolist()))
+    place = blinking.truth.xyz_mm.reshape(400, len(labels), 3)
+    for one in silent:
+        own = (points.label == f"id{one}") & (points.kind == 0)
+        assert own.sum() > 200
+        assert (np.linalg.norm(points.xyz_mm[own] - place[points.frame[own], one], axis=1) < 10.0).mean() > 0.99
+    # Without brightness nobody knows.
+    dark = {name: column for name, column in quiet.optional.items() if name != "brightness"}
+    assert not {f"id{one}" for one in silent} & set(ml.track(replace(quiet, optional=dark), blinking.rig).label)
+
+
 def test_a_wrong_identity_on_one_dot_swaps_nothing(blinking: ml.SimulatedTake) -> None:
     told, _ = ml.leds(blinking.observations)
     identity = told.optional["id"].copy()

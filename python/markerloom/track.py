@@ -263,6 +263,13 @@ class _Run:
         stages["track"] = time.perf_counter() - clock - stages["estimate"]
         return tracker
 
+    def _lights(self) -> tuple[list[int], list[float]] | None:
+        """Frames and brightness of all dots, where active markers may be among them."""
+        brightness = self.observations.optional.get("brightness")
+        if brightness is None or not (self.dots.hardware >= 0).any():
+            return None
+        return self.dots.frames.tolist(), brightness[self.dots.row].tolist()
+
     def _part(self, part: int) -> Progress | None:
         """Progress of tracking (0) or of the repair (1), which take about as long; alone, tracking is all there is."""
         if self.progress is None:
@@ -278,7 +285,7 @@ class _Run:
         """The take with cameras whose moves are known, or are found and healed on the way."""
         clock, stages = time.perf_counter(), {}
         tracker = self._recorded(known, heal, stages)
-        solved = tracker.recorded(self.causal, in_parts(self._part(1), len(self.dots.frames)))
+        solved = tracker.recorded(self.causal, in_parts(self._part(1), len(self.dots.frames)), self._lights())
         stages["repair"] = time.perf_counter() - clock - sum(stages.values())
         solved["sizes"] = np.diff(solved.pop("dot_starts"))
         found = found_moves(known.rig, tracker.moved(not heal))

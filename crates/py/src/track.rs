@@ -11,7 +11,7 @@ use markerloom_core::camera::Camera;
 use markerloom_core::correspond::frame::Dot;
 use markerloom_core::correspond::scene::Scene;
 use markerloom_core::track::paper::{PaperOptions, PaperTracker};
-use markerloom_core::track::repair::repair;
+use markerloom_core::track::repair::{Lights, repair};
 use markerloom_core::track::{Kind, Moment, Shot, TrackError, TrackOptions, Tracked, Tracker, at_moments};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
@@ -170,21 +170,27 @@ impl PyTracker {
     }
 
     /// What was recorded. `confirmed_only`: just what a live user saw. `progress(part)` is called now and then.
-    #[pyo3(signature = (confirmed_only, progress=None))]
+    /// `lights`: numbers of the frames, and the brightness of all their dots (NaN: not known), where there is one.
+    #[pyo3(signature = (confirmed_only, progress=None, lights=None))]
     fn recorded<'py>(
         &self,
         py: Python<'py>,
         confirmed_only: bool,
         progress: Option<Py<PyAny>>,
+        lights: Option<(Vec<i64>, Vec<f64>)>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        if lights.as_ref().is_some_and(|l| l.0.len() != self.recorded.len() || l.1.len() != self.starts[l.0.len()]) {
+            return Err(InputError::new_err("the brightness is not that of the recorded dots"));
+        }
         if confirmed_only || matches!(self.tracker, Engine::Paper(_)) {
             return arrays(py, &self.recorded, &self.starts, true);
         }
         let mut scenes: Vec<(usize, &Scene)> = self.past.iter().map(|(from, scene)| (*from, scene)).collect();
         scenes.push((self.scene_from, self.tracker.scene()));
         let (teller, options) = (Teller::new(progress), TrackOptions::default());
+        let lights = lights.as_ref().map(|(frames, brightness)| Lights { frames, starts: &self.starts, brightness });
         let kept = py.detach(|| {
-            repair(&scenes, &options, &self.recorded, &self.shots, &self.times_s, &|part| teller.tell(part))
+            repair(&scenes, &options, &self.recorded, &self.shots, &self.times_s, lights, &|part| teller.tell(part))
         });
         teller.finish()?;
         arrays(py, &kept, &self.starts, false)

@@ -12,6 +12,7 @@
 //! Cost: words × phases per dot, four times.
 
 use super::codes::{LENGTH, Word, book};
+use super::levels::middle;
 use crate::strands::Strands;
 use rayon::prelude::*;
 
@@ -75,12 +76,8 @@ fn bits(brightness: &[f64], period: usize) -> Vec<Option<bool>> {
     let logs: Vec<f64> = brightness.iter().map(|b| if *b > 0.0 { b.ln() } else { f64::NAN }).collect();
     (0..logs.len())
         .map(|k| {
-            let from = k.saturating_sub(period / 2).min(logs.len().saturating_sub(period));
-            let mut near: Vec<f64> =
-                logs[from..(from + period).min(logs.len())].iter().copied().filter(|l| l.is_finite()).collect();
-            near.sort_unstable_by(f64::total_cmp);
-            let (low, high) = (near.get(near.len() / 4)?, near.get((3 * near.len() / 4).min(near.len() - 1))?);
-            let (step, above) = (high - low, logs[k] - 0.5 * (low + high));
+            let (middle, step) = middle(&logs, k, period)?;
+            let above = logs[k] - middle;
             (step > LEAST_STEP && above.abs() > UNREADABLE * step).then_some(above > 0.0)
         })
         .collect()

@@ -5,7 +5,8 @@
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
 //!    (`exchange`) and whole limbs (`relabel`) hand out their pieces anew.
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
-//!    What active markers told of themselves stands above all that (`told`).
+//!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
+//!    brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
 //!    (`regain`).
@@ -36,17 +37,31 @@ use twins::without_twins;
 /// How much of the work identities are (0–1).
 const IDENTIFIED: f64 = 0.9;
 
-/// Repairs a recorded take. `shots`, `times_s`: dots and time of each frame; `scenes`: the index of the first frame from
-/// which on each holds, in ascending order from 0; `told`: how much is done (0–1), every now and then.
+/// How bright the dots of a take are.
+#[derive(Clone, Copy, Debug)]
+pub struct Lights<'a> {
+    /// Number of each frame.
+    pub frames: &'a [i64],
+    /// Place of each frame's first dot among all.
+    pub starts: &'a [usize],
+    /// Brightness of every dot (any unit; NaN where it is not known).
+    pub brightness: &'a [f64],
+}
+
+/// Repairs a recorded take. `shots`, `times_s`: dots and time of each frame; `lights`: their brightness, where it is known;
+/// `scenes`: the index of the first frame from which on each holds, in ascending order from 0; `told`: how much is done
+/// (0–1), every now and then.
 pub fn repair(
     scenes: &[(usize, &Scene)],
     options: &TrackOptions,
     frames: &[Tracked],
     shots: &[Shot],
     times_s: &[f64],
+    lights: Option<Lights>,
     told: &dyn Fn(f64),
 ) -> Vec<Tracked> {
     let mut repaired = identify(frames, times_s, TORN, Some(shots), &|part| told(IDENTIFIED * part));
+    follow_told(&mut repaired, shots, scenes, times_s, lights);
     told(IDENTIFIED);
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
@@ -90,9 +105,6 @@ fn identify(
     };
     let mut named: Vec<Tracked> = frames.iter().zip(&owner).map(renamed).collect();
     untangle(&mut named, times_s);
-    if let Some(shots) = shots {
-        follow_told(&mut named, shots);
-    }
     named
 }
 

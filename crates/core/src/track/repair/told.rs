@@ -1,54 +1,140 @@
 //! Identities that active markers told, over a whole take: they stand above all that motion and neighbours say.
 //!
-//! Where two or more dots of a sample tell the same identity, the sample belongs to that identity's trajectory: the one that
-//! tells it most often. Samples between go with what is told nearest to them in time on their own trajectory. Where that
-//! puts two into one place of a frame, the one that tells stays.
+//! Where the dots' brightness is known, each trajectory is read with all its cameras together (`active/along.rs`), and a
+//! sample belongs to the LED that it most likely is. Otherwise, where two or more dots of a sample tell the same identity,
+//! the sample belongs to that identity's trajectory: the one that tells it most often. Samples between go with what is told
+//! nearest to them in time on their own trajectory. Where that puts two into one place of a frame, the surer one stays.
 
-use super::super::{Sample, Shot, Tracked};
+use super::super::{Kind, Sample, Shot, Tracked};
+use super::Lights;
+use crate::active::along::{Reading, Seen, Stretch, read};
+use crate::active::levels::Light;
+use crate::correspond::scene::Scene;
 use std::collections::BTreeMap;
 
 /// Dots that must tell an identity.
 const TELLERS: usize = 2;
+/// Frames in a row that a stretch may lack.
+const LONGEST_HOLE: usize = 3;
+/// A reading below this probability names nobody.
+const LIKELIER_THAN_NOT: f64 = 0.5;
+
+/// What a sample told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Word {
+    Nothing,
+    /// That it is none of the LEDs.
+    Nobody,
+    /// Its identity, and how sure that is (0–1).
+    Identity(u32, f64),
+}
 
 /// Hands samples over to the trajectories of the identities they tell. Nothing changes where no dot tells one.
-pub fn follow_told(frames: &mut [Tracked], shots: &[Shot]) {
-    let told: Vec<Vec<Option<u32>>> =
+pub fn follow_told(
+    frames: &mut [Tracked],
+    shots: &[Shot],
+    scenes: &[(usize, &Scene)],
+    times_s: &[f64],
+    lights: Option<Lights>,
+) -> bool {
+    let by_dots: Vec<Vec<Word>> =
         frames.iter().zip(shots).map(|(f, shot)| f.samples.iter().map(|s| told_by(s, shot)).collect()).collect();
-    if told.iter().flatten().all(Option::is_none) {
-        return;
+    if by_dots.iter().flatten().all(|w| *w == Word::Nothing) {
+        return false;
     }
+    let told = lights.and_then(|l| read_along(frames, shots, scenes, times_s, l)).unwrap_or(by_dots);
     let home = homes(frames, &told);
     let nearest = nearest_told(frames, &told);
     let taken: Vec<u32> = home.values().copied().collect();
     for ((frame, told), nearest) in frames.iter_mut().zip(&told).zip(nearest) {
-        let mut renamed: Vec<(u32, bool, Sample)> = Vec::with_capacity(frame.samples.len());
+        let mut renamed: Vec<(f64, Sample)> = Vec::with_capacity(frame.samples.len());
         for ((sample, told), nearest) in frame.samples.drain(..).zip(told).zip(nearest) {
-            let hardware = told.or(nearest);
+            let (hardware, chance) = match told {
+                Word::Identity(hardware, chance) => (Some(*hardware), *chance),
+                Word::Nothing => (nearest, 0.0),
+                Word::Nobody => (None, 0.0),
+            };
             let track = hardware.map_or(sample.track, |h| home[&h]);
             // A trajectory that is an identity's home keeps nobody else's samples.
             if hardware.is_some() || !taken.contains(&track) {
-                renamed.push((track, told.is_none(), Sample { track, hardware, ..sample }));
+                renamed.push((chance, Sample { track, hardware, ..sample }));
             }
         }
-        renamed.sort_by_key(|(track, is_silent, _)| (*track, *is_silent));
-        renamed.dedup_by_key(|r| r.0);
-        frame.samples = renamed.into_iter().map(|r| r.2).collect();
+        renamed.sort_by(|a, b| a.1.track.cmp(&b.1.track).then(b.0.total_cmp(&a.0)));
+        renamed.dedup_by_key(|r| r.1.track);
+        frame.samples = renamed.into_iter().map(|r| r.1).collect();
     }
+    true
 }
 
-fn told_by(sample: &Sample, shot: &Shot) -> Option<u32> {
+fn told_by(sample: &Sample, shot: &Shot) -> Word {
     let told: Vec<u32> = sample.dots.iter().filter_map(|&d| shot.dots[d as usize].hardware).collect();
-    (told.len() >= TELLERS && told.iter().all(|t| *t == told[0])).then(|| told[0])
+    let agreed = told.len() >= TELLERS && told.iter().all(|t| *t == told[0]);
+    if agreed { Word::Identity(told[0], 1.0) } else { Word::Nothing }
+}
+
+/// What the samples tell when all cameras are read together; `None` where identities and brightness are no LEDs' of ours.
+fn read_along(
+    frames: &[Tracked],
+    shots: &[Shot],
+    scenes: &[(usize, &Scene)],
+    times_s: &[f64],
+    lights: Lights,
+) -> Option<Vec<Vec<Word>>> {
+    let mut told: Vec<Vec<Word>> = frames.iter().map(|f| vec![Word::Nothing; f.samples.len()]).collect();
+    let mut stretches: Vec<Stretch> = Vec::new();
+    let mut places: Vec<Vec<(usize, usize)>> = Vec::new();
+    let mut open: BTreeMap<u32, usize> = BTreeMap::new();
+    for (index, (frame, shot)) in frames.iter().zip(shots).enumerate() {
+        let mut owners = vec![0; shot.dots.len()];
+        frame.samples.iter().flat_map(|s| &s.dots).for_each(|&d| owners[d as usize] += 1);
+        let scene = scenes.iter().rev().find(|s| s.0 <= index)?.1;
+        for (k, sample) in frame.samples.iter().enumerate().filter(|(_, s)| s.kind == Kind::Measured) {
+            let goes_on = open
+                .get(&sample.track)
+                .copied()
+                .filter(|&s| places[s].last().is_some_and(|&(before, _)| index - before <= LONGEST_HOLE));
+            let stretch = goes_on.unwrap_or(stretches.len());
+            if stretch == stretches.len() {
+                stretches.push(Stretch { track: sample.track, ..Stretch::default() });
+                places.push(Vec::new());
+                open.insert(sample.track, stretch);
+            }
+            let seen = |&d: &u32| {
+                let dot = &shot.dots[d as usize];
+                let away = (sample.point - scene.rig.cameras[dot.camera].position_m).norm();
+                let ln_brightness = lights.brightness[lights.starts[index] + d as usize].ln();
+                let light = Light { ln_brightness, ln_distance: away.max(1e-3).ln() };
+                Seen { camera: dot.camera, light, told: dot.hardware.map(|h| h as usize) }
+            };
+            stretches[stretch].frames.push(lights.frames[index]);
+            stretches[stretch].times_s.push(times_s[index]);
+            stretches[stretch].places.push(sample.point);
+            let alone = sample.dots.iter().filter(|d| owners[**d as usize] == 1);
+            stretches[stretch].dots.push(alone.map(seen).filter(|s| s.light.ln_brightness.is_finite()).collect());
+            places[stretch].push((index, k));
+        }
+    }
+    for (places, readings) in places.iter().zip(read(&stretches)?) {
+        for (&(index, k), Reading { word, chance }) in places.iter().zip(readings) {
+            told[index][k] = match word {
+                _ if chance < LIKELIER_THAN_NOT => Word::Nothing,
+                Some(word) => Word::Identity(word as u32, chance),
+                None => Word::Nobody,
+            };
+        }
+    }
+    Some(told)
 }
 
 /// The trajectory of each identity: the one that tells it most often, and each trajectory is one identity's at most.
-fn homes(frames: &[Tracked], told: &[Vec<Option<u32>>]) -> BTreeMap<u32, u32> {
+fn homes(frames: &[Tracked], told: &[Vec<Word>]) -> BTreeMap<u32, u32> {
     let mut counts: BTreeMap<(u32, u32), usize> = BTreeMap::new();
     let mut next = 0;
     for (frame, told) in frames.iter().zip(told) {
         for (sample, told) in frame.samples.iter().zip(told) {
             next = next.max(sample.track + 1);
-            if let Some(hardware) = told {
+            if let Word::Identity(hardware, _) = told {
                 *counts.entry((*hardware, sample.track)).or_default() += 1;
             }
         }
@@ -71,7 +157,7 @@ fn homes(frames: &[Tracked], told: &[Vec<Option<u32>>]) -> BTreeMap<u32, u32> {
 }
 
 /// For each sample, the identity told nearest in time on its trajectory.
-fn nearest_told(frames: &[Tracked], told: &[Vec<Option<u32>>]) -> Vec<Vec<Option<u32>>> {
+fn nearest_told(frames: &[Tracked], told: &[Vec<Word>]) -> Vec<Vec<Option<u32>>> {
     let mut nearest: Vec<Vec<Option<(usize, u32)>>> = told.iter().map(|t| vec![None; t.len()]).collect();
     let n = frames.len();
     let (forwards, backwards): (Vec<usize>, Vec<usize>) = ((0..n).collect(), (0..n).rev().collect());
@@ -79,7 +165,7 @@ fn nearest_told(frames: &[Tracked], told: &[Vec<Option<u32>>]) -> Vec<Vec<Option
         let mut last: BTreeMap<u32, (usize, u32)> = BTreeMap::new();
         for index in order {
             for (k, sample) in frames[index].samples.iter().enumerate() {
-                if let Some(hardware) = told[index][k] {
+                if let Word::Identity(hardware, _) = told[index][k] {
                     last.insert(sample.track, (index, hardware));
                 }
                 let Some(&(at, hardware)) = last.get(&sample.track) else { continue };
@@ -126,7 +212,7 @@ mod tests {
     #[test]
     fn a_swap_is_undone_where_the_markers_tell() {
         let (mut frames, shots) = swapped();
-        follow_told(&mut frames, &shots);
+        follow_told(&mut frames, &shots, &[], &[], None);
         for frame in frames.iter().take(15).chain(frames.iter().skip(20)) {
             let left = frame.samples.iter().find(|s| s.point.x < 0.5).unwrap();
             let right = frame.samples.iter().find(|s| s.point.x > 0.5).unwrap();
@@ -142,7 +228,7 @@ mod tests {
         let (mut frames, mut shots) = swapped();
         shots.iter_mut().flat_map(|s| &mut s.dots).for_each(|d| d.hardware = None);
         let before: Vec<Vec<u32>> = frames.iter().map(|f| f.samples.iter().map(|s| s.track).collect()).collect();
-        follow_told(&mut frames, &shots);
+        follow_told(&mut frames, &shots, &[], &[], None);
         let after: Vec<Vec<u32>> = frames.iter().map(|f| f.samples.iter().map(|s| s.track).collect()).collect();
         assert_eq!(before, after);
     }
