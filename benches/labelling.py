@@ -61,8 +61,10 @@ def tpose(seeds: int) -> None:
             take = ml.simulate(scene)
             tracked = ml.track(take.observations, take.rig, rate_hz=100.0)
             right, wrong, longest = judged(ml.label(tracked, marker_set=worn), take.truth)
+            known = ml.create_subject(take.truth, marker_set=worn)
             print(
-                f"tpose {motion} seed {seed}: right {100 * right:.3f} %, wrong {100 * wrong:.3f} %, longest {longest}",
+                f"tpose {motion} seed {seed}: right {100 * right:.3f} %, wrong {100 * wrong:.3f} %, longest {longest}; "
+                f"subject known: right {100 * judged(ml.label(tracked, subjects=[known]), take.truth)[0]:.3f} %",
                 flush=True,
             )
 

@@ -79,6 +79,33 @@ def test_a_dance_in_pieces_with_phantoms_is_named_whole() -> None:
     assert np.nanmean(named.label_probability) > 0.98
 
 
+def test_a_tracker_that_takes_another_marker_after_a_hole_does_not_mislead() -> None:
+    """Carried samples show nobody, and over a hole a trajectory may have gone over to the neighbour."""
+    xyz_mm, names = figure("dance", 3, 1200), names_of(41)
+    subject = ml.create_subject(points_of(xyz_mm[:600], names))
+    later = xyz_mm[600:]
+    apart = np.linalg.norm(later[:, :, None] - later[:, None], axis=3).mean(axis=0) + 1e6 * np.eye(41)
+    a, b = (int(i) for i in np.unravel_index(apart.argmin(), apart.shape))
+    other = next(m for m in range(41) if m not in (a, b))
+    shown, kind = later.copy(), np.zeros(later.shape[:2], np.int64)
+    shown[213:240, [a, b]] = later[213:240, [b, a]]
+    for marker, first, last in ((a, 200, 213), (b, 200, 213), (a, 240, 252), (b, 240, 252), (other, 300, 320)):
+        part = np.linspace(0, 1, last - first + 2)[1:-1, None]
+        shown[first:last, marker] = (1 - part) * shown[first - 1, marker] + part * shown[last, marker]
+        kind[first:last, marker] = 1
+    named = ml.label(replace(points_of(shown), kind=kind.ravel()), subjects=[subject])
+    measured = named.kind == 0
+    off = [np.linalg.norm(later[f, names.index(n)] - p) if n else np.inf for f, n, p in _rows(named, measured)]
+    assert max(off) < 1e-9
+    carried = {(int(f), n) for f, n, _ in _rows(named, ~measured)}
+    assert {n for f, n in carried if f < 300} == {""}
+    assert {n for f, n in carried if f >= 300} == {names[other]}
+
+
+def _rows(points: ml.Points, chosen: np.ndarray) -> list[tuple[int, str, np.ndarray]]:
+    return list(zip(points.frame[chosen], points.label[chosen].tolist(), points.xyz_mm[chosen], strict=True))
+
+
 def test_single_frames_are_named_without_tracking() -> None:
     xyz_mm, names = figure("dance", 0, 1600, markers=53), names_of(53)
     subject = ml.create_subject(points_of(xyz_mm[:1200], names))

@@ -186,7 +186,6 @@ class LabelModel:
         starts: Sequence[int],
         xyz_m: Floats,
         track: Sequence[int],
-        tracks: int,
         rate_hz: float,
         believed: Sequence[tuple[int, float] | None],
     ) -> tuple[list[int], list[float], float]: ...

@@ -130,13 +130,12 @@ impl PyModel {
         starts: Vec<usize>,
         xyz_m: PyReadonlyArray2<'_, f64>,
         track: Vec<usize>,
-        tracks: usize,
         rate_hz: f64,
         believed: Vec<Option<(usize, f64)>>,
     ) -> (Vec<i64>, Vec<f64>, f64) {
         let points = places(&xyz_m);
         py.detach(|| {
-            let take = Take { starts: &starts, points: &points, track: &track, tracks, rate_hz, believed: &believed };
+            let take = Take::new(&starts, &points, &track, rate_hz, &believed);
             let found = label_take(&self.inner, &self.plans, &take);
             (as_numbers(&found.marker), found.probability, found.mirrored)
         })

@@ -84,13 +84,11 @@ def _checked(points: Points, take: Trajectories, subject: Subject) -> Checked:
         raise InputError(f"the take has {len(index)} of the markers of subject '{subject.name}' ({points.source})")
     marker = np.array([index.get(str(name), -1) for name in points.label])
     piece = _pieces(take, rate_hz)[points.frame - take.frames[0], np.searchsorted(take.tracks, points.track)]
-    tracks, track = np.unique(piece, return_inverse=True)
+    _, track = np.unique(piece, return_inverse=True)
     starts = np.searchsorted(points.frame, np.append(points.frames, points.frames[-1] + 1)).tolist()
     xyz_m = np.ascontiguousarray(points.xyz_mm / 1000.0)
     believed = [(int(m), KEPT) if m >= 0 else None for m in marker]
-    found, probability, _ = model_of([subject]).label_take(
-        starts, xyz_m, track.tolist(), len(tracks), rate_hz, believed
-    )
+    found, probability, _ = model_of([subject]).label_take(starts, xyz_m, track.tolist(), rate_hz, believed)
     should, sure = np.array(found), np.array(probability) >= SURE
     should = np.where((marker >= 0) & ~sure, marker, should)
     names = np.array([own.get(m, m) for m in subject.markers] + [""], dtype=str)

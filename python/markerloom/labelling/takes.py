@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from markerloom import _core
 from markerloom.errors import InputError
 from markerloom.labelling.scale import scaled
-from markerloom.labelling.static_pose import name_static_pose
-from markerloom.points import Points
+from markerloom.labelling.static_pose import GUESSED_M, name_static_pose
+from markerloom.points import KINDS, Points
 from markerloom.subjects.create import NOISE_M, poses_of
 from markerloom.subjects.marker_set import MarkerSet
 from markerloom.subjects.subject import Subject, model_of
 from markerloom.track_points import track_points
 
 Ints = NDArray[np.int64]
+CARRIED = (KINDS.index("predicted"), KINDS.index("filled"))
 SURE = 0.9
 """Names of at least this probability teach what a subject can do."""
 FIRM = 1000.0
@@ -35,6 +36,10 @@ AGREES = 0.5
 NEAR_SD = 4.0
 LOOKED_AT = 60
 MIRRORED = 0.5
+WIDER = 2.0
+"""Some rigid pairs spread more than most: by this factor."""
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute values of a standard normal variable."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +99,18 @@ def label(
 def _named(
     points: Points, subjects: list[Subject], believed: list[tuple[int, float] | None]
 ) -> tuple[Ints, NDArray[np.floating[Any]], float, list[Subject]]:
-    """Of each row its marker and the probability; and the subjects, after what the take taught of them."""
+    """Of each row its marker and the probability; and the subjects, after what the take taught of them.
+
+    Samples that were carried or filled say nothing of who was seen: they get the name of the measured ones around them.
+    """
+    seen = ~np.isin(points.kind, CARRIED)
+    if seen.any() and not seen.all():
+        rows = np.flatnonzero(seen)
+        taught = [believed[row] for row in rows.tolist()] if believed else []
+        marker, probability, mirrored, known = _named(points.keep(seen), subjects, taught)
+        return *_carried_names(points, rows, marker, probability), mirrored, known
     starts = np.searchsorted(points.frame, np.append(points.frames, points.frames[-1] + 1)).tolist()
-    tracks, track = np.unique(points.track, return_inverse=True)
+    _, track = np.unique(points.track, return_inverse=True)
     known = subjects
     marker, probability, mirrored = np.zeros(0, np.int64), np.zeros(0), 0.0
     for lesson in range(LESSONS + 1):
@@ -104,7 +118,6 @@ def _named(
             starts,
             np.ascontiguousarray(points.xyz_mm / 1000.0),
             track.tolist(),
-            len(tracks),
             float(points.rate_hz or 100.0),
             believed,
         )
@@ -113,8 +126,90 @@ def _named(
         mirrored = found[2] if lesson == 0 else mirrored
         if lesson == LESSONS or all(s.poses >= FEW_POSES for s in subjects):
             break
-        known = _taught(points, subjects, marker, probability)
+        if lesson == 0 and believed:
+            known = subjects = [_as_rigid_as_seen(points, subjects[0], marker)]
+        else:
+            known = _taught(points, subjects, marker, probability)
     return marker, probability, mirrored, known
+
+
+def _carried_names(
+    points: Points, rows: Ints, marker: Ints, probability: NDArray[np.floating[Any]]
+) -> tuple[Ints, NDArray[np.floating[Any]]]:
+    """Names of all rows, from those of the measured ``rows``.
+
+    A carried sample has one where the measured ones before and after it on its trajectory agree, and nobody else is that
+    marker in its frame.
+    """
+    whole, sure = np.full(len(points), -1), np.zeros(len(points))
+    whole[rows], sure[rows] = marker, probability
+    order = np.lexsort((points.frame, points.track))
+    measured = np.isin(order, rows)
+    place = np.arange(len(order))
+    before = np.maximum.accumulate(np.where(measured, place, -1))
+    after = np.minimum.accumulate(np.where(measured, place, len(order))[::-1])[::-1]
+    track = points.track[order]
+    around = np.stack([np.maximum(before, 0), np.minimum(after, len(order) - 1)])
+    is_own = (track[around] == track) & np.stack([before >= 0, after < len(order)])
+    name, chance = whole[order[around]], sure[order[around]]
+    # Where there is nothing on one side, the other alone counts.
+    name, chance = np.where(is_own, name, name[::-1]), np.where(is_own, chance, chance[::-1])
+    agreed = ~measured & is_own.any(axis=0) & (name[0] == name[1])
+    carried = order[agreed]
+    whole[carried], sure[carried] = name[0][agreed], chance.min(axis=0)[agreed]
+    carried = carried[np.lexsort((carried, -sure[carried]))]
+    key = points.frame * (whole.max(initial=0) + 1) + whole
+    _, first = np.unique(key[carried], return_index=True)
+    twice = np.isin(key[carried], key[rows][marker >= 0])
+    twice[np.setdiff1d(np.arange(len(carried)), first)] = True
+    whole[carried[twice]], sure[carried[twice]] = -1, 0.0
+    return whole, sure
+
+
+def _as_rigid_as_seen(points: Points, subject: Subject, marker: Ints) -> Subject:
+    """A subject from a static pose whose rigid pairs spread as little as they do in the take, by most of them.
+
+    A pose tells how long they are, but not how much skin moves; wrong names of a few change nothing in the median.
+    """
+    pairs, mean, sd = rigid_pairs(subject)
+    exact = sd < GUESSED_M
+    off = _off_their_length(points, subject, marker, pairs[exact], mean[exact]) / sd[exact]
+    if not np.isfinite(off).any():
+        return subject
+    scale = min(1.0, WIDER * float(np.nanmedian(off)) / NORMAL_MEDIAN)
+    n = len(subject)
+    distances = list(subject.distances)
+    for (i, j), m, s in zip(pairs[exact].tolist(), mean[exact].tolist(), sd[exact].tolist(), strict=True):
+        distances[i * n + j] = distances[j * n + i] = (m, max(scale * s, NOISE_M), 1.0)
+    return replace(subject, distances=distances)
+
+
+def rigid_pairs(subject: Subject) -> tuple[Ints, NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
+    """Pairs of markers that keep their distance (pairs, 2), its mean and its spread (m)."""
+    n = len(subject)
+    rigid = [
+        (i // n, i % n, d[0], d[1])
+        for i, d in enumerate(subject.distances)
+        if d is not None and d[2] >= 1.0 and i // n < i % n
+    ]
+    table = np.array(rigid, float).reshape(-1, 4)
+    return table[:, :2].astype(np.int64), table[:, 2], table[:, 3]
+
+
+def _off_their_length(
+    points: Points, subject: Subject, marker: Ints, pairs: Ints, mean_m: NDArray[np.floating[Any]]
+) -> NDArray[np.floating[Any]]:
+    """How far pairs are off their length (m) in some frames of the take (frames, pairs), NaN where one is missing."""
+    n = len(subject)
+    frames = points.frames[:: max(1, len(points.frames) // LOOKED_AT)]
+    off = np.full((len(frames), len(pairs)), np.nan)
+    for k, frame in enumerate(frames):
+        rows = np.arange(*np.searchsorted(points.frame, [frame, frame + 1]))
+        rows = rows[(marker[rows] >= 0) & (marker[rows] < n)]
+        place = np.full((n, 3), np.nan)
+        place[marker[rows]] = points.xyz_mm[rows] / 1000.0
+        off[k] = np.abs(np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1) - mean_m)
+    return off
 
 
 def _taught(
@@ -161,24 +256,10 @@ def _check(points: Points, given: list[Subject], subjects: list[Subject], marker
 
 def _agreement(points: Points, subject: Subject, marker: Ints) -> float:
     """Share of the rigid pairs of a subject, among all named ones in some frames, that have their distance."""
-    n = len(subject)
-    rigid = [
-        (i // n, i % n) for i, d in enumerate(subject.distances) if d is not None and d[2] >= 1.0 and i // n < i % n
-    ]
-    if not rigid:
-        return 1.0
-    a, b = np.array(rigid).T
-    mean, sd = np.array([subject.distances[i * n + j][:2] for i, j in rigid]).T  # pyright: ignore[reportOptionalSubscript]
-    fits = total = 0
-    for frame in points.frames[:: max(1, len(points.frames) // LOOKED_AT)]:
-        rows = np.arange(*np.searchsorted(points.frame, [frame, frame + 1]))
-        rows = rows[(marker[rows] >= 0) & (marker[rows] < n)]
-        place = np.full((n, 3), np.nan)
-        place[marker[rows]] = points.xyz_mm[rows] / 1000.0
-        off = np.abs(np.linalg.norm(place[a] - place[b], axis=1) - mean) / sd
-        seen = np.isfinite(off)
-        fits, total = fits + int(np.sum(off[seen] < NEAR_SD)), total + int(seen.sum())
-    return fits / total if total else 1.0
+    pairs, mean, sd = rigid_pairs(subject)
+    off = _off_their_length(points, subject, marker, pairs, mean) / sd
+    seen = np.isfinite(off)
+    return float(np.mean(off[seen] < NEAR_SD)) if seen.any() else 1.0
 
 
 def _with_names(

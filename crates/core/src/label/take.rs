@@ -21,10 +21,15 @@ const KEY_S: f64 = 0.5;
 const KEYS: usize = 24;
 /// Time within which frames say the same (s): evidence counts once in it.
 const ALIKE_S: f64 = 0.1;
-/// What a change of name along a trajectory costs.
+/// What a change of name along a trajectory costs, and what it costs over a hole: the tracker may have taken another marker for
+/// the one that was hidden.
 const CHANGE: f64 = 14.0;
+const CHANGE_OVER_A_HOLE: f64 = 4.0;
+/// A hole is longer than so many frames, and than this (s).
+const HOLE: usize = 2;
+const HOLE_S: f64 = 0.025;
 /// Evidence that does not tell two names apart: lengths that are a little off are so in every frame.
-const MARGIN: f64 = 2.0;
+const MARGIN: f64 = 0.5;
 /// Names of a trajectory that are followed, and rounds, at most.
 const FOLLOWED: usize = 8;
 const ROUNDS: usize = 4;
@@ -35,17 +40,45 @@ const EXCHANGED: usize = 3;
 /// The points of a take.
 pub struct Take<'a> {
     /// First row of each frame, and the number of rows.
-    pub starts: &'a [usize],
+    starts: &'a [usize],
     /// Places (m).
-    pub points: &'a [Vector3<f64>],
-    /// The trajectory of each row, counted from 0.
-    pub track: &'a [usize],
-    /// Number of trajectories.
-    pub tracks: usize,
+    points: &'a [Vector3<f64>],
+    /// The trajectory of each row, counted from 0, and their number.
+    track: &'a [usize],
+    tracks: usize,
+    /// The piece of its trajectory, between holes, that each row is in, counted from 0, and their number.
+    piece: Vec<usize>,
+    pieces: usize,
     /// Frames per second.
-    pub rate_hz: f64,
+    rate_hz: f64,
     /// Of each row, the marker that is believed to be there, and how firmly (as evidence); empty, or one for each row.
-    pub believed: &'a [Option<(usize, f64)>],
+    believed: &'a [Option<(usize, f64)>],
+}
+
+impl<'a> Take<'a> {
+    /// First row of each frame and the number of rows; places (m); the trajectory of each row, counted from 0; frames per
+    /// second; of each row, the marker that is believed to be there, and how firmly (as evidence), or nothing at all.
+    pub fn new(
+        starts: &'a [usize],
+        points: &'a [Vector3<f64>],
+        track: &'a [usize],
+        rate_hz: f64,
+        believed: &'a [Option<(usize, f64)>],
+    ) -> Self {
+        let tracks = track.iter().map(|t| t + 1).max().unwrap_or(0);
+        let longest = HOLE.max((HOLE_S * rate_hz) as usize);
+        let (mut piece, mut pieces) = (vec![0; track.len()], 0);
+        let mut last: Vec<Option<(usize, usize)>> = vec![None; tracks];
+        for frame in 0..starts.len().saturating_sub(1) {
+            for row in starts[frame]..starts[frame + 1] {
+                let goes_on = last[track[row]].filter(|(before, _)| frame - before <= longest + 1);
+                piece[row] = goes_on.map_or(pieces, |g| g.1);
+                pieces = pieces.max(piece[row] + 1);
+                last[track[row]] = Some((frame, piece[row]));
+            }
+        }
+        Self { starts, points, track, tracks, piece, pieces, rate_hz, believed }
+    }
 }
 
 /// The names of a take.
@@ -163,19 +196,30 @@ fn exchanged(model: &Model, take: &Take, samples: &[Sample], (a, b): (usize, usi
             before.min(ALIKE_S) / ALIKE_S * clear
         })
         .collect();
-    let kept_or_not = two_ways(&gains);
+    let costs: Vec<f64> = (0..both.len())
+        .map(|k| {
+            let before = k.checked_sub(1).map(|k| &samples[both[k]]);
+            let across = |m: usize| {
+                let (now, then) = (&samples[both[k]], before?);
+                let piece = |s: &Sample| s.names[m].map(|p| take.piece[rows(take, s.frame).start + p]);
+                Some(piece(now) != piece(then))
+            };
+            if across(a) == Some(true) || across(b) == Some(true) { CHANGE_OVER_A_HOLE } else { CHANGE }
+        })
+        .collect();
+    let kept_or_not = two_ways(&gains, &costs);
     let gain = gains.iter().zip(&kept_or_not).filter(|x| *x.1).map(|x| x.0).sum();
     (gain, both.iter().zip(&kept_or_not).filter(|x| *x.1).map(|x| *x.0).collect())
 }
 
-/// Where it pays to be in the second of two states, a change of state having its cost (Viterbi).
-fn two_ways(gains: &[f64]) -> Vec<bool> {
+/// Where it pays to be in the second of two states, a change of state before each moment having its cost (Viterbi).
+fn two_ways(gains: &[f64], costs: &[f64]) -> Vec<bool> {
     let mut reached = [0.0, -CHANGE];
     let mut came = Vec::with_capacity(gains.len());
-    for &gain in gains {
-        let from = [reached[1] - CHANGE > reached[0], reached[0] - CHANGE <= reached[1]];
+    for (gain, cost) in gains.iter().zip(costs) {
+        let from = [reached[1] - cost > reached[0], reached[0] - cost <= reached[1]];
         came.push(from);
-        reached = [reached[0].max(reached[1] - CHANGE), reached[1].max(reached[0] - CHANGE) + gain];
+        reached = [reached[0].max(reached[1] - cost), reached[1].max(reached[0] - cost) + gain];
     }
     let mut state = reached[1] > reached[0];
     let mut states = vec![false; gains.len()];
@@ -190,17 +234,17 @@ fn rows(take: &Take, frame: usize) -> std::ops::Range<usize> {
     take.starts[frame]..take.starts[frame + 1]
 }
 
-/// Frames that are weighed: evenly spread ones, and one for each trajectory that would have none.
+/// Frames that are weighed: evenly spread ones, and one for each piece of a trajectory that would have none.
 fn sampled(take: &Take) -> Vec<usize> {
     let count = take.starts.len() - 1;
     let stride = ((take.rate_hz / SAMPLES_HZ).round() as usize).max(1);
     let mut wanted: Vec<usize> = (0..count).step_by(stride).collect();
-    let mut has_one = vec![false; take.tracks];
-    wanted.iter().flat_map(|&f| rows(take, f)).for_each(|row| has_one[take.track[row]] = true);
-    let mut frames_of = vec![Vec::new(); take.tracks];
+    let mut has_one = vec![false; take.pieces];
+    wanted.iter().flat_map(|&f| rows(take, f)).for_each(|row| has_one[take.piece[row]] = true);
+    let mut frames_of = vec![Vec::new(); take.pieces];
     for frame in 0..count {
-        for row in rows(take, frame).filter(|&r| !has_one[take.track[r]]) {
-            frames_of[take.track[row]].push(frame);
+        for row in rows(take, frame).filter(|&r| !has_one[take.piece[r]]) {
+            frames_of[take.piece[row]].push(frame);
         }
     }
     wanted.extend(frames_of.iter().filter(|f| !f.is_empty()).map(|f| f[f.len() / 2]));
@@ -330,8 +374,9 @@ fn path_scores(take: &Take, samples: &[Sample], visits: &[(usize, usize)]) -> Ve
         for k in order {
             let from = last.map(|l| reached[l].clone());
             let most = from.as_ref().map_or(0.0, |f| f.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+            let change = last.map_or(CHANGE, |l| change(take, samples, visits[l], visits[k]));
             for s in 0..states {
-                let came = from.as_ref().map_or(0.0, |f| f[s].max(most - CHANGE));
+                let came = from.as_ref().map_or(0.0, |f| f[s].max(most - change));
                 reached[k][s] = came + told[k][s];
             }
             last = Some(k);
@@ -349,6 +394,12 @@ fn path_scores(take: &Take, samples: &[Sample], visits: &[(usize, usize)]) -> Ve
         .collect()
 }
 
+/// What a change of name costs between two visits of a trajectory.
+fn change(take: &Take, samples: &[Sample], (i, p): (usize, usize), (j, q): (usize, usize)) -> f64 {
+    let piece = |i: usize, p: usize| take.piece[rows(take, samples[i].frame).start + p];
+    if piece(i, p) == piece(j, q) { CHANGE } else { CHANGE_OVER_A_HOLE }
+}
+
 /// What speaks for a marker at a point where it was no candidate.
 const OTHERWISE: f64 = -6.0;
 
@@ -356,15 +407,15 @@ fn seconds(take: &Take, samples: &[Sample], a: usize, b: usize) -> f64 {
     (samples[b].frame - samples[a].frame) as f64 / take.rate_hz
 }
 
-/// Names of the samples for the rows between them: a row has the name of its trajectory's nearest sample.
+/// Names of the samples for the rows between them: a row has the name of the nearest sample of its piece.
 fn spread_out(take: &Take, samples: &[Sample], scores: &[Vec<Vec<(usize, f64)>>], mirrored: f64) -> Labelled {
-    let mut of_track: Vec<Vec<Said>> = vec![Vec::new(); take.tracks];
+    let mut of_piece: Vec<Vec<Said>> = vec![Vec::new(); take.pieces];
     for (sample, own) in samples.iter().zip(scores) {
         let mut name = vec![None; own.len()];
         sample.names.iter().enumerate().for_each(|(m, p)| p.iter().for_each(|&p| name[p] = Some(m)));
         for (p, row) in rows(take, sample.frame).enumerate() {
             let (score, probability) = certainty(&own[p], name[p]);
-            of_track[take.track[row]].push((sample.frame, name[p], score, probability));
+            of_piece[take.piece[row]].push((sample.frame, name[p], score, probability));
         }
     }
     let count = take.points.len();
@@ -372,7 +423,7 @@ fn spread_out(take: &Take, samples: &[Sample], scores: &[Vec<Vec<(usize, f64)>>]
     let mut score = vec![0.0; count];
     for frame in 0..take.starts.len() - 1 {
         for row in rows(take, frame) {
-            let own = &of_track[take.track[row]];
+            let own = &of_piece[take.piece[row]];
             let after = own.partition_point(|x| x.0 < frame);
             let near = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|i| own.get(i));
             if let Some(&(_, name, s, p)) = near.min_by_key(|x| x.0.abs_diff(frame)) {
@@ -403,14 +454,14 @@ fn certainty(scores: &[(usize, f64)], name: Option<usize>) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::two_ways;
+    use super::{CHANGE, two_ways};
 
     #[test]
     fn an_exchange_must_gain_more_than_going_there_and_back_costs() {
         let brief: Vec<f64> = (0..40).map(|k| if (10..20).contains(&k) { 2.0 } else { -1.0 }).collect();
-        assert!(two_ways(&brief).iter().all(|s| !s));
+        assert!(two_ways(&brief, &[CHANGE; 40]).iter().all(|s| !s));
         let lasting: Vec<f64> = (0..60).map(|k| if (20..45).contains(&k) { 2.0 } else { -1.0 }).collect();
-        let found: Vec<usize> = (0..60).filter(|&k| two_ways(&lasting)[k]).collect();
+        let found: Vec<usize> = (0..60).filter(|&k| two_ways(&lasting, &[CHANGE; 60])[k]).collect();
         assert_eq!(found, (20..45).collect::<Vec<_>>());
     }
 }
