@@ -123,7 +123,6 @@ impl PyModel {
 
     /// Names of a whole take: of each row its marker (or −1) and the probability; and the share of heights on the wrong
     /// side. `believed`: of each row a marker and how firmly it is believed, or nothing at all.
-    #[expect(clippy::too_many_arguments, reason = "each one is a column of the take")]
     fn label_take(
         &self,
         py: Python<'_>,

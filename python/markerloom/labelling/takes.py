@@ -138,8 +138,8 @@ def _carried_names(
 ) -> tuple[Ints, NDArray[np.floating[Any]]]:
     """Names of all rows, from those of the measured ``rows``.
 
-    A carried sample has one where the measured ones before and after it on its trajectory agree, and nobody else is that
-    marker in its frame.
+    A carried sample has one where the measured ones before and after it on its trajectory agree, and nobody else is
+    that marker in its frame.
     """
     whole, sure = np.full(len(points), -1), np.zeros(len(points))
     whole[rows], sure[rows] = marker, probability
