@@ -90,13 +90,12 @@ pub fn read(stretches: &[Stretch]) -> Option<Vec<Vec<Reading>>> {
     for round in 0..=ROUNDS {
         let told = (round > 0).then(|| Told::of(stretches, &readings));
         let one = |(k, (stretch, bits)): (usize, (&Stretch, &Vec<f64>))| {
-            let Some(told) = &told else {
-                return words.read(stretch, bits, &words.prior(|_| 1.0), |_, _| 1.0, |_| Vec::new());
-            };
+            let Some(told) = &told else { return words.read(stretch, bits, &words.prior(|_| 1.0), |_| Vec::new()) };
             let prior = words.prior(|word| told.likely(stretch, word));
-            let once =
-                |at: usize, word| if told.is_anothers(word, stretch.frames[at], readings[k][at]) { TWICE } else { 1.0 };
-            words.read(stretch, bits, &prior, once, |at| told.led_here(k, at))
+            words.read(stretch, bits, &prior, |at| {
+                let others = told.held_by_others(stretch.frames[at], readings[k][at]).map(|word| (word, TWICE));
+                others.chain(told.led_here(k, at)).collect()
+            })
         };
         let next = stretches.par_iter().zip(&bits).enumerate().map(one).collect();
         readings = next;
@@ -216,22 +215,20 @@ impl Words {
         prior
     }
 
-    /// Forwards and backwards (Rabiner 1989, §III). `is_anothers`: by place in the stretch and word, whether another bears
-    /// it there.
+    /// Forwards and backwards (Rabiner 1989, §III). `others`: by place in the stretch, words of which the other stretches say
+    /// something there, and how much likelier that makes each.
     fn read(
         &self,
         stretch: &Stretch,
         bits: &[f64],
         prior: &[f64],
-        once: impl Fn(usize, usize) -> f64,
-        led_here: impl Fn(usize) -> Vec<(usize, f64)>,
+        others: impl Fn(usize) -> Vec<(usize, f64)>,
     ) -> Vec<Reading> {
         let n = stretch.frames.len();
-        let led: Vec<Vec<(usize, f64)>> = (0..n).map(led_here).collect();
+        let others: Vec<Vec<(usize, f64)>> = (0..n).map(others).collect();
         let weigh = |chance: &mut [f64], k: usize| {
             self.weigh(chance, stretch.frames[k], bits[k]);
-            chance.iter_mut().zip(&self.known).for_each(|(c, word)| *c *= once(k, *word));
-            for (word, likelier) in &led[k] {
+            for (word, likelier) in &others[k] {
                 self.known.binary_search(word).into_iter().for_each(|place| chance[place] *= likelier);
             }
             let sum: f64 = chance.iter().sum();

@@ -35,8 +35,8 @@ pub struct Told<'a> {
     sure: BTreeMap<usize, Vec<Moment>>,
     /// By frame, the words that are surely told in it.
     by_frame: BTreeMap<i64, Vec<(usize, Moment)>>,
-    /// By word and frame, how surely it is told at most.
-    held: BTreeMap<(usize, i64), f64>,
+    /// By frame, the words that are told in it, ascending, and how surely at most.
+    held: BTreeMap<i64, Vec<(usize, f64)>>,
 }
 
 impl<'a> Told<'a> {
@@ -45,8 +45,7 @@ impl<'a> Told<'a> {
         for (k, (stretch, readings)) in stretches.iter().zip(readings).enumerate() {
             for (at, (frame, reading)) in stretch.frames.iter().zip(readings).enumerate() {
                 let Reading { word: Some(word), chance } = reading else { continue };
-                let most = told.held.entry((*word, *frame)).or_default();
-                *most = most.max(*chance);
+                told.held.entry(*frame).or_default().push((*word, *chance));
                 if *chance > SURE {
                     told.sure.entry(*word).or_default().push(Moment { stretch: k, at });
                     told.by_frame.entry(*frame).or_default().push((*word, Moment { stretch: k, at }));
@@ -54,14 +53,19 @@ impl<'a> Told<'a> {
             }
         }
         let time = |m: &Moment| stretches[m.stretch].times_s[m.at];
+        for held in told.held.values_mut() {
+            held.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+            held.dedup_by_key(|h| h.0);
+        }
         told.sure.values_mut().for_each(|own| own.sort_by(|a, b| time(a).total_cmp(&time(b))));
         told
     }
 
-    /// Whether another stretch has a word in a frame more surely than this one, which reads itself so.
-    pub fn is_anothers(&self, word: usize, frame: i64, own: Reading) -> bool {
-        let mine = if own.word == Some(word) { own.chance } else { 0.0 };
-        self.held.get(&(word, frame)).is_some_and(|most| *most > 0.5 && *most > mine)
+    /// Words that another stretch has in a frame, more surely than this one, which reads itself so.
+    pub fn held_by_others(&self, frame: i64, own: Reading) -> impl Iterator<Item = usize> {
+        let held = self.held.get(&frame).into_iter().flatten();
+        let mine = move |word| if own.word == Some(word) { own.chance } else { 0.0 };
+        held.filter(move |(word, most)| *most > 0.5 && *most > mine(*word)).map(|h| h.0)
     }
 
     /// Words that other stretches lead to the place of a sample, and how much likelier each is for it.
