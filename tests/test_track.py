@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import markerloom as ml
 from markerloom.errors import InputError
@@ -199,3 +200,33 @@ def test_an_unknown_camera_or_a_wrong_shape_is_named(walk: ml.SimulatedTake) -> 
         tracker.push({"left": [[1.0, 2.0]]})
     with pytest.raises(InputError, match="shape"):
         tracker.push({walk.rig.ids[0]: [1.0, 2.0]})
+
+
+def test_fingertips_that_touch_and_go_back_keep_who_they_are_live() -> None:
+    """Motion would have them pass through each other; the links of their hands tell, once they have parted."""
+    rate_hz, frames = 60.0, 400
+    t = np.arange(frames) / rate_hz
+    away = 300.0 * np.abs(np.clip(t - 4.0, -0.4, 0.4)) / 0.4 + 2.0
+    hand = np.array([[0.0, 0, 0], [-120, 60, 20], [-150, -50, 60], [-100, 10, -90]])
+    hands = []
+    for side in (1, -1):
+        turns = np.column_stack(
+            [0.5 * np.sin((3 - side) * t), 0.4 * np.sin(1.7 * t + side), 0.5 * np.cos(1.3 * t + side)]
+        )
+        tip = np.column_stack([side * away, np.full(frames, 3.0 * side), np.full(frames, 1000.0)])
+        turned = Rotation.from_euler("xyz", turns).as_matrix() @ (hand * [-side, 1, 1]).T
+        hands.append(turned.transpose(0, 2, 1) + tip[:, None])
+    xyz_mm = np.concatenate(hands, axis=1)
+    assert 5.0 < np.linalg.norm(xyz_mm[:, 0] - xyz_mm[:, 4], axis=1).min() < 10.0
+    seen = (xyz_mm + np.random.default_rng(3).normal(0, 0.3, xyz_mm.shape)).reshape(-1, 3)
+    number = np.repeat(np.arange(frames), 8)
+    points = ml.Points.of(number, np.zeros(len(number), np.int64), seen, rate_hz=rate_hz, frames=np.arange(frames))
+    found = ml.track(replace(points, tracked=False), causal=True)
+
+    def bearer(marker: int, frame: int) -> int:
+        own = np.flatnonzero((found.frame == frame) & (found.kind == 0))
+        return int(found.track[own[np.linalg.norm(found.xyz_mm[own] - xyz_mm[frame, marker], axis=1).argmin()]])
+
+    for marker in (0, 4):
+        before = bearer(marker, 230)
+        assert {bearer(marker, f) for f in range(245, frames)} == {before}

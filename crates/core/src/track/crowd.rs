@@ -3,6 +3,7 @@
 
 use super::body::{Body, Seen};
 use super::clock::{Clock, Moment, TimeError};
+use super::contact::Contact;
 use super::flow::Motion;
 use super::frame::Frame;
 use super::locate::Located;
@@ -27,6 +28,8 @@ pub struct Crowd {
     next_track: u32,
     /// Frames in which two trajectories, by identity, shared one marker's cameras out between them.
     pub suspected: BTreeMap<(u32, u32), i32>,
+    /// Pairs that met and whose identities are in doubt.
+    pub contacts: Vec<Contact>,
     /// What was known before the first frame.
     pub start: Option<Start>,
 }
@@ -43,6 +46,7 @@ impl Crowd {
             slots: Vec::new(),
             next_track: 0,
             suspected: BTreeMap::new(),
+            contacts: Vec::new(),
             start: None,
         })
     }

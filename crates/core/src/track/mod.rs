@@ -17,6 +17,7 @@
 mod adapt;
 pub mod body;
 mod clock;
+mod contact;
 mod crowd;
 mod duplicate;
 mod exchange;
@@ -296,6 +297,7 @@ impl Tracker {
         }
         self.crowd.exchange();
         self.crowd.settle();
+        self.crowd.decide_contacts();
         self.crowd.watch(&frame, self.scene.model.detection);
         self.crowd.drop_duplicates(&frame);
         self.give_birth(&frame, &groups);

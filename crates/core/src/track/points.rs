@@ -75,6 +75,7 @@ impl PointTracker {
         self.rematch(points, &mut free);
         self.crowd.exchange();
         self.crowd.settle();
+        self.crowd.decide_contacts();
         for (index, point) in points.iter().enumerate().filter(|(i, _)| free[*i]) {
             if let Some(found) = Located::measured(index as u32, point.point, &point.covariance()) {
                 self.crowd.give_birth((found, Motion::unknown()), CONFIDENCE, false);

@@ -106,7 +106,7 @@ impl Link {
     }
 
     /// Spread of the distance that was seen or must be reckoned with (m).
-    fn range_m(&self) -> f64 {
+    pub fn range_m(&self) -> f64 {
         self.spread_m().max((self.variance - self.noise).max(0.0).sqrt())
     }
 
