@@ -44,7 +44,8 @@ impl Merging {
     }
 }
 
-fn nearest_px(frame: &Frame) -> Option<f64> {
+/// Distance of the nearest two dots of a camera (px), where it is small.
+pub(super) fn nearest_px(frame: &Frame) -> Option<f64> {
     let mut nearest: Option<f64> = None;
     for dots in &frame.by_camera {
         for (i, &a) in dots.iter().enumerate() {

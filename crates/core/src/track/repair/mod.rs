@@ -12,6 +12,7 @@
 //!    (`regain`).
 
 pub mod carry;
+mod close;
 mod confusion;
 mod exchange;
 pub mod extend;
@@ -26,6 +27,7 @@ mod twins;
 use super::{Kind, Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
 use carry::carry;
+use close::measure_close;
 use confusion::untangle;
 use extend::extend;
 use join::{Chain, join};
@@ -65,7 +67,8 @@ pub fn repair(
     told(IDENTIFIED);
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
-    if regain(scenes, shots, times_s, &mut repaired) {
+    let regained = regain(scenes, shots, times_s, &mut repaired);
+    if measure_close(scenes, shots, times_s, &mut repaired) || regained {
         repaired.iter_mut().for_each(|f| f.samples.retain(|s| s.kind == Kind::Measured));
         carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     }

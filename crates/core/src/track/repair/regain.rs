@@ -61,7 +61,7 @@ fn prior(sample: &Sample, velocity: Vector3<f64>) -> Prior {
 }
 
 /// Velocity (m/s) of a trajectory, from the frames beside one.
-fn velocity(frames: &[Tracked], times_s: &[f64], index: usize, track: u32) -> Vector3<f64> {
+pub(super) fn velocity(frames: &[Tracked], times_s: &[f64], index: usize, track: u32) -> Vector3<f64> {
     let place = |at: usize| frames[at].samples.iter().find(|s| s.track == track).map(|s| (times_s[at], s.point));
     let beside = [index.saturating_sub(1), (index + 1).min(frames.len() - 1)].map(place);
     match beside {

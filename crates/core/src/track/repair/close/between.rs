@@ -1,0 +1,94 @@
+//! The vector between two markers of one part through time: as long as ever, turned a little from frame to frame.
+
+use super::super::super::filter::fuse;
+use nalgebra::{Matrix3, Vector3};
+
+/// Time over which turning is learned (s), and how much faster than its median it may be (variances).
+const LAG_S: f64 = 0.05;
+const FASTER: f64 = 4.0;
+/// What is known of a median of squared distances in three dimensions (variances).
+const MEDIAN: f64 = 2.366;
+/// Slowest and fastest turning (radians in a second, as a random walk).
+const TURNING: [f64; 2] = [0.3, 10.0];
+/// Least spread of the length (m), and as a part of it.
+const LEAST_SPREAD_M: f64 = 5e-4;
+
+/// What the vector does in general.
+#[derive(Clone, Copy, Debug)]
+pub struct Habit {
+    /// Its length and how much that differs (m).
+    pub length_m: f64,
+    pub spread_m: f64,
+    /// Variance that a second adds (m² per axis).
+    pub turning: f64,
+}
+
+impl Habit {
+    /// From vectors at times (s), whichever way they point; `None` where there are too few.
+    pub fn learned(known: &[(f64, Vector3<f64>)], least: usize) -> Option<Self> {
+        if known.len() < least {
+            return None;
+        }
+        let length_m = median(known.iter().map(|(_, v)| v.norm()).collect())?;
+        let off = median(known.iter().map(|(_, v)| (v.norm() - length_m).abs()).collect())?;
+        let change = |lag_s: f64| {
+            let pairs = known.iter().enumerate().filter_map(|(k, (time_s, v))| {
+                let later = k + 1 + known[k + 1..].partition_point(|(t, _)| *t < time_s + lag_s * 0.999);
+                let (then_s, w) = known.get(later).filter(|(t, _)| *t <= time_s + 1.5 * lag_s)?;
+                Some(((w - v).norm_squared().min((w + v).norm_squared()), then_s - time_s))
+            });
+            let (squared, lags): (Vec<f64>, Vec<f64>) = pairs.unzip();
+            Some((median(squared)? / MEDIAN, median(lags)?))
+        };
+        let step_s = median(known.windows(2).map(|w| w[1].0 - w[0].0).collect())?;
+        let range = TURNING.map(|t| (t * length_m).powi(2));
+        let turning = match (change(step_s), change(LAG_S.max(2.0 * step_s))) {
+            (Some((noise, a)), Some((more, b))) if b > a => FASTER * (more - noise).max(0.0) / (b - a),
+            _ => range[1],
+        };
+        let spread_m = off.max(LEAST_SPREAD_M);
+        Some(Self { length_m, spread_m, turning: turning.clamp(range[0], range[1]) })
+    }
+
+    /// How long the vector is known well enough to tell which way it points (s).
+    pub fn holds_s(&self) -> f64 {
+        (0.5 * self.length_m).powi(2) / self.turning
+    }
+}
+
+/// The vector at a time.
+#[derive(Clone, Copy, Debug)]
+pub struct Between {
+    /// From the one to the other (m).
+    pub vector: Vector3<f64>,
+    /// Its covariance (m²).
+    pub covariance: Matrix3<f64>,
+}
+
+impl Between {
+    /// After some time: less well known, and as long as ever.
+    pub fn after(&self, dt_s: f64, habit: &Habit) -> Self {
+        let covariance = self.covariance + Matrix3::identity() * (habit.turning * dt_s.abs());
+        let length = self.vector.norm().max(1e-6);
+        let along = self.vector / length;
+        let gain = covariance * along / (along.dot(&(covariance * along)) + habit.spread_m.powi(2));
+        let vector = self.vector + gain * (habit.length_m - length);
+        let covariance = covariance - gain * (covariance * along).transpose();
+        Self { vector, covariance: 0.5 * (covariance + covariance.transpose()) }
+    }
+
+    /// What both sides in time know together; where they point against each other, the better known.
+    pub fn with(&self, other: &Self) -> Self {
+        if self.vector.dot(&other.vector) < 0.0 {
+            return if self.covariance.trace() <= other.covariance.trace() { *self } else { *other };
+        }
+        fuse((&self.vector, &self.covariance), (&other.vector, &other.covariance))
+            .map_or(*self, |(vector, covariance)| Self { vector, covariance })
+    }
+}
+
+/// The middle one; `None` of none.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
