@@ -32,15 +32,24 @@ const RUN_TOGETHER: f64 = 2.0;
 const SAMPLED: usize = 600;
 const QUANTILE: f64 = 0.1;
 const MERGING_PX: [f64; 2] = [1.0, 8.0];
+/// A trajectory is much shorter with fewer than one in so many of the frames.
+const MUCH: usize = 2;
 /// Dots of a camera that are considered, and how far off they may be (standard deviations).
 const DOTS: usize = 4;
 const GATE_SIGMAS: f64 = 4.0;
 /// Places known less well than this are not measured (m).
 const KNOWN: f64 = 0.03;
 
+/// Two that no camera has seen apart for so long may be one by now (s).
+const MERGED_S: f64 = 0.5;
+
 /// Two trajectories that are a close pair.
 struct Pair {
     tracks: [u32; 2],
+    /// Indices of the frames that saw them apart.
+    apart: Vec<usize>,
+    /// Frames in which the one that was measured less often was.
+    measured: usize,
     habit: Habit,
 }
 
@@ -64,6 +73,14 @@ struct Image {
     candidates: Vec<Candidate>,
 }
 
+/// The two places of a frame, and what dots are whose.
+struct SharedOut {
+    pose: Pose,
+    dots: [Vec<u32>; 2],
+    /// Whether a camera saw both in dots of their own.
+    apart: bool,
+}
+
 /// What one pass says before each frame.
 type Before = Vec<Option<(Between, BTreeMap<usize, Seen>)>>;
 
@@ -74,8 +91,15 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
         return false;
     }
     let merging_px = merging_px(scenes, shots);
-    let close: Vec<Pair> = apart.iter().filter_map(|(t, a)| pair(*t, a, scenes, times_s, frames, merging_px)).collect();
-    let looks = looks(&close, scenes, shots, times_s, frames);
+    let counts = counts(frames);
+    let found = apart.iter().filter_map(|(tracks, apart)| {
+        let habit = habit(*tracks, apart, scenes, times_s, frames, merging_px)?;
+        let measured = tracks.iter().map(|t| counts[t]).min()?;
+        Some(Pair { tracks: *tracks, apart: apart.iter().map(|a| a.0).collect(), measured, habit })
+    });
+    let found: Vec<Pair> = found.collect();
+    let close: Vec<&Pair> = found.iter().filter(|p| !found.iter().any(|q| q.excludes(p, &counts))).collect();
+    let looks = looks(&close, &counts, scenes, shots, times_s, frames);
     let measured: Vec<Vec<(usize, [Sample; 2])>> = close
         .par_iter()
         .zip(looks)
@@ -84,8 +108,10 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
             parts.flat_map(|part| solved(pair, part, scenes, merging_px)).collect()
         })
         .collect();
-    for (index, samples) in measured.into_iter().flatten() {
-        write(&mut frames[index], samples, (scene_of(scenes, index), &shots[index]));
+    for (pair, measured) in close.iter().zip(measured) {
+        for (index, samples) in measured {
+            write(&mut frames[index], samples, |t| pair.passes(&counts, t), (scene_of(scenes, index), &shots[index]));
+        }
     }
     !close.is_empty()
 }
@@ -128,15 +154,24 @@ fn merging_px(scenes: &[(usize, &Scene)], shots: &[Shot]) -> f64 {
     low.map_or(MERGING_PX[0], |d| d.clamp(MERGING_PX[0], MERGING_PX[1]))
 }
 
-/// A close pair, if their images run together and the vector between them is stiff.
-fn pair(
+/// In how many frames each trajectory was measured.
+fn counts(frames: &[Tracked]) -> BTreeMap<u32, usize> {
+    let mut found = BTreeMap::new();
+    for sample in frames.iter().flat_map(|f| &f.samples) {
+        *found.entry(sample.track).or_insert(0) += usize::from(sample.kind == Kind::Measured);
+    }
+    found
+}
+
+/// How the vector between two goes, if they are a close pair: their images run together and it is stiff.
+fn habit(
     tracks: [u32; 2],
     apart: &[(usize, Vector3<f64>)],
     scenes: &[(usize, &Scene)],
     times_s: &[f64],
     frames: &[Tracked],
     merging_px: f64,
-) -> Option<Pair> {
+) -> Option<Habit> {
     let known: Vec<(f64, Vector3<f64>)> = apart.iter().map(|(i, v)| (times_s[*i], *v)).collect();
     let habit = Habit::learned(&known, APART)?;
     let image = |&(index, vector): &(usize, Vector3<f64>)| {
@@ -148,12 +183,44 @@ fn pair(
     let sampled = apart.iter().step_by(apart.len().div_ceil(100));
     let typical_px = median(sampled.filter_map(image).collect())?;
     let close = habit.spread_m < STIFF * habit.length_m && typical_px < RUN_TOGETHER * merging_px;
-    close.then_some(Pair { tracks, habit })
+    close.then_some(habit)
+}
+
+impl Pair {
+    /// Whether a trajectory is much shorter than the pair's: one that lives on what the pair's dots leave over.
+    fn passes(&self, counts: &BTreeMap<u32, usize>, track: u32) -> bool {
+        !self.tracks.contains(&track) && MUCH * counts.get(&track).copied().unwrap_or(0) < self.measured
+    }
+
+    /// Whether another is a pair of one of this pair's and one that passes.
+    fn excludes(&self, other: &Self, counts: &BTreeMap<u32, usize>) -> bool {
+        other.tracks.iter().any(|t| self.tracks.contains(t)) && other.tracks.iter().any(|t| self.passes(counts, *t))
+    }
+
+    /// Whether one of the two was seen beside another marker since (or will be before) it was seen beside this one.
+    fn is_outlived(&self, close: &[&Self], index: usize) -> bool {
+        let own = self.frames_from(index);
+        let rival = |p: &&&Self| p.tracks != self.tracks && p.tracks.iter().any(|t| self.tracks.contains(t));
+        close.iter().filter(rival).any(|p| p.frames_from(index) < own)
+    }
+
+    /// Whether a sample is where one of the two may be.
+    fn reaches(&self, own: [Option<&Sample>; 2], sample: &Sample) -> bool {
+        own.into_iter().flatten().any(|s| (s.point - sample.point).norm() < self.habit.length_m)
+    }
+
+    /// How many frames from one the two were seen apart.
+    fn frames_from(&self, index: usize) -> usize {
+        let after = self.apart.partition_point(|a| *a < index);
+        let beside = [after.checked_sub(1), Some(after)].into_iter().flatten().filter_map(|k| self.apart.get(k));
+        beside.map(|a| a.abs_diff(index)).min().unwrap_or(usize::MAX)
+    }
 }
 
 /// The frames of each pair.
 fn looks(
-    close: &[Pair],
+    close: &[&Pair],
+    counts: &BTreeMap<u32, usize>,
     scenes: &[(usize, &Scene)],
     shots: &[Shot],
     times_s: &[f64],
@@ -167,11 +234,13 @@ fn looks(
         tracked.samples.iter().flat_map(|s| &s.dots).for_each(|&d| frame.free[d as usize] = false);
         for (pair, looks) in close.iter().zip(&mut found) {
             let own = pair.tracks.map(|t| tracked.samples.iter().find(|s| s.track == t));
-            let Some(some) = own[0].or(own[1]) else { continue };
+            let Some(some) = own[0].or(own[1]).filter(|_| !pair.is_outlived(close, index)) else { continue };
             let [from, to] = own.map(|s| s.filter(|s| s.kind == Kind::Measured));
             let apart = from.zip(to).filter(|(a, b)| in_one_image(a, b, shot)).map(|(a, b)| b.point - a.point);
             let velocity = velocity(frames, times_s, index, some.track);
-            let images = images(scene, &frame, own, pair.habit.length_m, velocity);
+            let passing = tracked.samples.iter().filter(|s| pair.passes(counts, s.track) && pair.reaches(own, s));
+            let more: Vec<u32> = passing.flat_map(|s| s.dots.clone()).collect();
+            let images = images(scene, &frame, (own, &more), pair.habit.length_m, velocity);
             let samples = own.map(|s| s.map(|s| (s.point, s.covariance)));
             looks.push(Look { index, time_s: times_s[index], samples, apart, velocity, images });
         }
@@ -179,11 +248,11 @@ fn looks(
     found
 }
 
-/// By camera, the dots that may be the pair's: their own and free ones near where they are.
+/// By camera, the dots that may be the pair's near where they are: free ones, their own, and more.
 fn images(
     scene: &Scene,
     frame: &Frame,
-    own: [Option<&Sample>; 2],
+    (own, more): ([Option<&Sample>; 2], &[u32]),
     length_m: f64,
     velocity: Vector3<f64>,
 ) -> Vec<Image> {
@@ -205,7 +274,7 @@ fn images(
             let away = places.iter().map(|(p, r)| ((frame.pixel(dot) - p).norm(), *r)).filter(|(d, r)| d < r);
             away.map(|(d, _)| d).min_by(f64::total_cmp)
         };
-        let usable = |dot: u32| frame.free[dot as usize] || known.iter().any(|s| s.dots.contains(&dot));
+        let usable = |dot: u32| frame.free[dot as usize] || more.contains(&dot) || known.iter().any(|s| s.dots.contains(&dot));
         let mut near: Vec<(f64, u32)> =
             dots.iter().filter(|&&d| usable(d)).filter_map(|&d| Some((off(d)?, d))).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -230,32 +299,41 @@ fn solved(pair: &Pair, looks: &[Look], scenes: &[(usize, &Scene)], merging_px: f
     let backwards: Vec<usize> = forwards.iter().rev().copied().collect();
     let pass = |order: &[usize]| passed(pair, looks, order, scenes, merging_px);
     let (before, after) = (pass(&forwards), pass(&backwards));
-    let mut found = Vec::new();
-    let mut agreed = 0.0;
-    for (k, look) in looks.iter().enumerate() {
+    let both = |(k, look): (usize, &Look)| {
         let (between, seen) = match (&before[k], &after[k]) {
             (Some(a), Some(b)) => (a.0.with(&b.0), together(&a.1, &b.1)),
             (Some(one), None) | (None, Some(one)) => one.clone(),
-            (None, None) => continue,
+            (None, None) => return None,
         };
-        let Some(prior) = look.pose(&between, pair) else { continue };
-        let (pose, dots) = look.fitted(&prior, &seen, scene_of(scenes, look.index), merging_px);
-        if let Some(apart) = look.apart {
-            agreed += apart.dot(&pose.between().0).signum();
-        }
-        found.push((look.index, pose, dots, look.velocity));
-    }
-    let tracks = if agreed < 0.0 { [pair.tracks[1], pair.tracks[0]] } else { pair.tracks };
-    let sample = |(index, pose, dots, velocity): (usize, Pose, [Vec<u32>; 2], Vector3<f64>)| {
-        let one = |k: usize| {
-            let state = pose.place(k);
-            let known = dots[k].len() >= 2 && state.1.trace().sqrt() < KNOWN;
-            let kind = if known { Kind::Measured } else { Kind::Predicted };
-            Sample { velocity, ..Sample::new(tracks[k], state, kind, &dots[k], 1.0) }
-        };
-        (index, [one(0), one(1)])
+        let prior = look.pose(&between, pair)?;
+        Some(look.shared_out(&prior, &seen, scene_of(scenes, look.index), merging_px))
     };
-    found.into_iter().map(sample).collect()
+    let found: Vec<Option<SharedOut>> = looks.iter().enumerate().map(both).collect();
+    let agreed = |(look, found): (&Look, &Option<SharedOut>)| {
+        Some(look.apart?.dot(&found.as_ref()?.pose.between().0).signum())
+    };
+    let agreed: f64 = looks.iter().zip(&found).filter_map(agreed).sum();
+    let tracks = if agreed < 0.0 { [pair.tracks[1], pair.tracks[0]] } else { pair.tracks };
+    let two = two_at(looks, &found);
+    let measured = |((look, found), _): ((&Look, Option<SharedOut>), bool)| Some((look.index, found?.samples(tracks, look)));
+    looks.iter().zip(found).zip(two).filter(|(_, two)| *two).filter_map(measured).collect()
+}
+
+/// Whether there are two markers at each look: some camera saw them apart not long before and after.
+fn two_at(looks: &[Look], found: &[Option<SharedOut>]) -> Vec<bool> {
+    let apart_s: Vec<f64> =
+        looks.iter().zip(found).filter(|(_, f)| f.as_ref().is_some_and(|f| f.apart)).map(|(l, _)| l.time_s).collect();
+    let near = |look: &Look| {
+        let after = apart_s.partition_point(|t| *t < look.time_s);
+        let next = apart_s.get(after).copied();
+        let last = after.checked_sub(1).map(|k| apart_s[k]);
+        match (last, next) {
+            (_, Some(t)) if t == look.time_s => true,
+            (Some(last), Some(next)) => next - last < MERGED_S,
+            _ => false,
+        }
+    };
+    looks.iter().map(near).collect()
 }
 
 /// What the frames before say of each frame, in this order.
@@ -321,14 +399,7 @@ impl Look {
         self.images.iter().filter_map(usable).collect()
     }
 
-    /// The two places, and the dots of each.
-    fn fitted(
-        &self,
-        prior: &Pose,
-        seen: &BTreeMap<usize, Seen>,
-        scene: &Scene,
-        merging_px: f64,
-    ) -> (Pose, [Vec<u32>; 2]) {
+    fn shared_out(&self, prior: &Pose, seen: &BTreeMap<usize, Seen>, scene: &Scene, merging_px: f64) -> SharedOut {
         let views = self.views(prior, seen, scene);
         let fitted = fit(prior, &views, merging_px);
         let own = |which: usize| {
@@ -338,14 +409,27 @@ impl Look {
             dots
         };
         let dots = [own(0), own(1)];
-        (fitted.pose, dots)
+        let apart = fitted.choices.iter().any(|c| matches!(c.of, [Some(k), Some(l)] if k != l));
+        SharedOut { pose: fitted.pose, dots, apart }
     }
 }
 
-/// Puts the two in the place of what their trajectories had, unless their dots are another one's by now.
-fn write(frame: &mut Tracked, samples: [Sample; 2], (scene, shot): (&Scene, &Shot)) {
+impl SharedOut {
+    fn samples(self, tracks: [u32; 2], look: &Look) -> [Sample; 2] {
+        [0, 1].map(|k| {
+            let state = self.pose.place(k);
+            let known = self.dots[k].len() >= 2 && state.1.trace().sqrt() < KNOWN;
+            let kind = if known { Kind::Measured } else { Kind::Predicted };
+            Sample { velocity: look.velocity, ..Sample::new(tracks[k], state, kind, &self.dots[k], 1.0) }
+        })
+    }
+}
+
+/// Puts the two in the place of what their trajectories had, unless their dots are another one's by now; of those that
+/// pass, what has lost its rays goes.
+fn write(frame: &mut Tracked, samples: [Sample; 2], passes: impl Fn(u32) -> bool, (scene, shot): (&Scene, &Shot)) {
     let tracks = samples.each_ref().map(|s| s.track);
-    let others = || frame.samples.iter().filter(|s| !tracks.contains(&s.track));
+    let others = || frame.samples.iter().filter(|s| !tracks.contains(&s.track) && !passes(s.track));
     let taken = samples.iter().flat_map(|s| &s.dots).any(|d| others().any(|o| o.dots.contains(d)));
     if taken || samples.iter().all(|s| s.dots.is_empty()) {
         return;
@@ -353,7 +437,11 @@ fn write(frame: &mut Tracked, samples: [Sample; 2], (scene, shot): (&Scene, &Sho
     let confidence = frame.samples.iter().filter(|s| tracks.contains(&s.track)).map(|s| s.confidence).fold(0.0, f64::max);
     let mut rays = Frame::new(scene, &shot.dots);
     rays.lag_s.clone_from(&shot.lag_s);
-    frame.samples.retain(|s| !tracks.contains(&s.track));
+    frame.samples.retain_mut(|s| {
+        let before = s.dots.len();
+        s.dots.retain(|d| samples.iter().all(|o| !o.dots.contains(d)));
+        !tracks.contains(&s.track) && (s.dots.len() == before || s.dots.len() >= 2)
+    });
     let seen = samples.into_iter().filter(|s| !s.dots.is_empty());
     frame.samples.extend(seen.map(|s| Sample { confidence, ..s }.with_rays(&rays)));
     frame.samples.sort_by_key(|s| s.track);
