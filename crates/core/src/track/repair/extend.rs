@@ -10,7 +10,7 @@ use super::super::locate::{LocateGates, Located, locate};
 use super::super::view::{Prior, match_cameras};
 use super::super::{Kind, Sample, Shot, Tracked};
 use crate::correspond::scene::Scene;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Samples from which the motion at a gap is learned.
 const RUN_UP: usize = 8;
@@ -19,6 +19,9 @@ const PATIENCE_S: f64 = 0.03;
 /// Acceleration of a marker at a gap (m/s²), and of a push.
 const ACCELERATION: f64 = 30.0;
 const PUSH: f64 = 100.0;
+
+/// Frames at the beginning of a take into which the forward pass went without knowing how anything moves.
+const BEGINNING: usize = 5;
 
 /// One trajectory on its way into a gap.
 struct Runner {
@@ -33,6 +36,19 @@ struct Runner {
 pub fn extend(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frames: &mut [Tracked]) {
     for forwards in [false, true] {
         run(scenes, shots, times_s, frames, forwards);
+    }
+}
+
+/// Takes out what was measured in the first frames, so that it is found again backwards in time, by markers whose motion is
+/// known. What comes back only later, and could not be, stays.
+pub fn forget_the_beginning(frames: &mut [Tracked]) {
+    if frames.len() < 2 * BEGINNING {
+        return;
+    }
+    let tracks = |part: &[Tracked]| -> BTreeSet<u32> { part.iter().flat_map(measured).map(|s| s.track).collect() };
+    let (soon, later) = (tracks(&frames[BEGINNING..2 * BEGINNING]), tracks(&frames[2 * BEGINNING..]));
+    for frame in &mut frames[..BEGINNING] {
+        frame.samples.retain(|s| later.contains(&s.track) && !soon.contains(&s.track));
     }
 }
 

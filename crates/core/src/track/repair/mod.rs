@@ -29,7 +29,7 @@ use crate::correspond::scene::Scene;
 use carry::carry;
 use close::measure_close;
 use confusion::untangle;
-use extend::extend;
+use extend::{extend, forget_the_beginning};
 use join::{Chain, join};
 use regain::regain;
 use told::follow_told;
@@ -65,6 +65,7 @@ pub fn repair(
     let mut repaired = identify(frames, times_s, TORN, Some(shots), &|part| told(IDENTIFIED * part));
     follow_told(&mut repaired, shots, scenes, times_s, lights);
     told(IDENTIFIED);
+    forget_the_beginning(&mut repaired);
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     let regained = regain(scenes, shots, times_s, &mut repaired);
