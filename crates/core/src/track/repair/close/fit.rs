@@ -15,6 +15,8 @@ const GATE: f64 = 25.0;
 const BLOB: f64 = 0.1;
 /// The distance at which two dots become one differs by this part of it.
 const SOFT: f64 = 0.15;
+/// However far apart or near, two are one dot with a probability within these bounds.
+const MERGED: [f64; 2] = [1e-4, 0.95];
 /// How likely it is that a camera sees both, the one, the other, neither; and that what it sees in a frame is drawn
 /// from that anew.
 const USUAL: [f64; 4] = [0.6, 0.1, 0.1, 0.2];
@@ -215,7 +217,7 @@ fn chance_of_merging(pose: &Pose, view: &View, start: &Pose, merging_px: f64) ->
     let (apart, spread) = separation(pose, view, start);
     // A logistic curve with the spread of a normal distribution.
     let width = 0.55 * spread.hypot(SOFT * merging_px);
-    1.0 / (1.0 + ((apart - merging_px) / width).clamp(-30.0, 30.0).exp())
+    (1.0 / (1.0 + ((apart - merging_px) / width).clamp(-30.0, 30.0).exp())).clamp(MERGED[0], MERGED[1])
 }
 
 /// What a camera sees in the frame beside one in which it saw this.

@@ -434,7 +434,9 @@ fn write(frame: &mut Tracked, samples: [Sample; 2], passes: impl Fn(u32) -> bool
     if taken || samples.iter().all(|s| s.dots.is_empty()) {
         return;
     }
-    let confidence = frame.samples.iter().filter(|s| tracks.contains(&s.track)).map(|s| s.confidence).fold(0.0, f64::max);
+    let own: Vec<&Sample> = frame.samples.iter().filter(|s| tracks.contains(&s.track)).collect();
+    let confidence = own.iter().map(|s| s.confidence).fold(0.0, f64::max);
+    let hardware = tracks.map(|t| own.iter().find(|s| s.track == t).and_then(|s| s.hardware));
     let mut rays = Frame::new(scene, &shot.dots);
     rays.lag_s.clone_from(&shot.lag_s);
     frame.samples.retain_mut(|s| {
@@ -442,7 +444,7 @@ fn write(frame: &mut Tracked, samples: [Sample; 2], passes: impl Fn(u32) -> bool
         s.dots.retain(|d| samples.iter().all(|o| !o.dots.contains(d)));
         !tracks.contains(&s.track) && (s.dots.len() == before || s.dots.len() >= 2)
     });
-    let seen = samples.into_iter().filter(|s| !s.dots.is_empty());
-    frame.samples.extend(seen.map(|s| Sample { confidence, ..s }.with_rays(&rays)));
+    let seen = samples.into_iter().zip(hardware).filter(|(s, _)| !s.dots.is_empty());
+    frame.samples.extend(seen.map(|(s, hardware)| Sample { confidence, hardware, ..s }.with_rays(&rays)));
     frame.samples.sort_by_key(|s| s.track);
 }
