@@ -50,6 +50,11 @@ impl Habit {
         Some(Self { length_m, spread_m, turning: turning.clamp(range[0], range[1]) })
     }
 
+    /// Variance of a vector that points this way, roughly (m²).
+    pub fn any_way(&self) -> f64 {
+        (self.length_m / 3.0).powi(2)
+    }
+
     /// How long the vector is known well enough to tell which way it points (s).
     pub fn holds_s(&self) -> f64 {
         (0.5 * self.length_m).powi(2) / self.turning
@@ -77,11 +82,8 @@ impl Between {
         Self { vector, covariance: 0.5 * (covariance + covariance.transpose()) }
     }
 
-    /// What both sides in time know together; where they point against each other, the better known.
+    /// What both sides in time know together.
     pub fn with(&self, other: &Self) -> Self {
-        if self.vector.dot(&other.vector) < 0.0 {
-            return if self.covariance.trace() <= other.covariance.trace() { *self } else { *other };
-        }
         fuse((&self.vector, &self.covariance), (&other.vector, &other.covariance))
             .map_or(*self, |(vector, covariance)| Self { vector, covariance })
     }
