@@ -56,7 +56,7 @@ pub fn untangle(frames: &mut [Tracked], times_s: &[f64]) {
         for (_, [a, b], changed) in &found {
             if !touched[*a] && !touched[*b] {
                 (touched[*a], touched[*b]) = (true, true);
-                exchange(frames, [tracks[*a], tracks[*b]], changed);
+                exchange_where(frames, [tracks[*a], tracks[*b]], changed);
             }
         }
         if found.is_empty() {
@@ -65,17 +65,20 @@ pub fn untangle(frames: &mut [Tracked], times_s: &[f64]) {
     }
 }
 
-fn exchange(frames: &mut [Tracked], [a, b]: [u32; 2], changed: &[bool]) {
-    for (frame, _) in frames.iter_mut().zip(changed).filter(|(_, c)| **c) {
-        for sample in &mut frame.samples {
-            sample.track = match sample.track {
-                t if t == a => b,
-                t if t == b => a,
-                t => t,
-            };
-        }
-        frame.samples.sort_by_key(|s| s.track);
+fn exchange_where(frames: &mut [Tracked], tracks: [u32; 2], changed: &[bool]) {
+    frames.iter_mut().zip(changed).filter(|(_, c)| **c).for_each(|(frame, _)| exchange(frame, tracks));
+}
+
+/// Gives each of two trajectories what the other has in a frame.
+pub(super) fn exchange(frame: &mut Tracked, [a, b]: [u32; 2]) {
+    for sample in &mut frame.samples {
+        sample.track = match sample.track {
+            t if t == a => b,
+            t if t == b => a,
+            t => t,
+        };
     }
+    frame.samples.sort_by_key(|s| s.track);
 }
 
 struct Take<'a> {
@@ -312,7 +315,7 @@ mod tests {
     fn near_markers_get_back_what_they_have_of_each_other() {
         let (truth, times_s) = take(400);
         let mut frames = truth.clone();
-        exchange(&mut frames, [4, 5], &(0..400).map(|f| (150..230).contains(&f) || f == 300).collect::<Vec<bool>>());
+        exchange_where(&mut frames, [4, 5], &(0..400).map(|f| (150..230).contains(&f) || f == 300).collect::<Vec<bool>>());
         // In a part of the time only one of the two is seen.
         let hidden = |f: usize, track: u32| (150..180).contains(&f) && track == 5;
         let hide = |frames: &mut Vec<Tracked>| {
@@ -335,10 +338,10 @@ mod tests {
         let hidden = |f: usize, track: u32| f % 40 < 10 && track >= 4;
         truth.iter_mut().enumerate().for_each(|(f, frame)| frame.samples.retain(|s| !hidden(f, s.track)));
         let mut frames = truth.clone();
-        exchange(&mut frames, [4, 5], &(0..400).map(|f| (f / 40) % 2 == 1).collect::<Vec<bool>>());
+        exchange_where(&mut frames, [4, 5], &(0..400).map(|f| (f / 40) % 2 == 1).collect::<Vec<bool>>());
         untangle(&mut frames, &times_s);
         let (right, mut round) = (points(&truth), truth.clone());
-        exchange(&mut round, [4, 5], &[true; 400]);
+        exchange_where(&mut round, [4, 5], &[true; 400]);
         assert!(points(&frames) == right || points(&frames) == points(&round));
     }
 

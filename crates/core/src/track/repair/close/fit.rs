@@ -102,6 +102,12 @@ impl Pose {
         (q.0 - p.0, p.1 + q.1 - c - c.transpose())
     }
 
+    /// The middle of the two with its covariance.
+    pub fn middle(&self) -> (Vector3<f64>, Matrix3<f64>) {
+        let ([p, q], c) = ([0, 1].map(|k| self.place(k)), self.covariance.fixed_view::<3, 3>(0, 3));
+        (0.5 * (p.0 + q.0), 0.25 * (p.1 + q.1 + c + c.transpose()))
+    }
+
     /// Measurement update with a dot that stands where `by` of the pose's offset from `start` is (px); returns the squared
     /// error (in standard deviations) and the logarithm of the innovation's density (px⁻²).
     fn update(&mut self, (by, off): (&SMatrix<f64, 2, 6>, Vector2<f64>), sigma_px: f64) -> Option<(f64, f64)> {

@@ -1,5 +1,6 @@
 //! One frame of a close pair: where its trajectories are, and the dots that may be the two markers'.
 
+use super::super::super::filter::fuse;
 use super::super::super::frame::Frame;
 use super::super::super::{Kind, Sample, Shot, Tracked};
 use super::super::regain::velocity;
@@ -21,6 +22,17 @@ const KNOWN: f64 = 0.03;
 pub struct Given<'a> {
     pub scenes: &'a [(usize, &'a Scene)],
     pub merging_px: f64,
+}
+
+/// What other looks say.
+#[derive(Clone)]
+pub struct Known {
+    /// The vector from the one to the other.
+    pub between: Between,
+    /// The middle of the two with its covariance, where it is known (m, m²).
+    pub middle: Option<(Vector3<f64>, Matrix3<f64>)>,
+    /// What each camera sees.
+    pub seen: BTreeMap<usize, Seen>,
 }
 
 /// One frame of a pair.
@@ -78,7 +90,10 @@ pub fn looks(
             if images.len() < RAYS {
                 continue;
             }
-            let samples = own.map(|s| s.map(|s| (s.point, s.covariance)));
+            // What is carried beside what is measured may be on the wrong side of it.
+            let lone = own.iter().flatten().filter(|s| s.kind == Kind::Measured).count() == 1;
+            let usable = |s: &&Sample| !lone || s.kind == Kind::Measured;
+            let samples = own.map(|s| s.filter(usable).map(|s| (s.point, s.covariance)));
             looks.push(Look { index, time_s: times_s[index], samples, apart, velocity, images });
         }
     }
@@ -131,15 +146,18 @@ fn images(
 }
 
 impl Look {
-    /// Where the two are by their trajectories and the vector between them. Which of them a lone trajectory has is open.
-    fn pose(&self, between: &Between) -> Option<Pose> {
-        let doubt = Matrix3::identity() * (0.25 * between.vector.norm_squared());
-        let (middle, covariance) = match self.samples {
-            [Some((p, c)), Some((q, d))] => (0.5 * (p + q), 0.5 * (c + d)),
-            [Some((p, c)), None] | [None, Some((p, c))] => (p, c + doubt),
+    /// Where the two are by their trajectories and what is known. Which of them a lone trajectory has is open.
+    fn pose(&self, known: &Known) -> Option<Pose> {
+        let doubt = Matrix3::identity() * (0.25 * known.between.vector.norm_squared());
+        let (mut middle, mut covariance) = match self.samples {
+            [Some((p, c)), Some((q, d))] => (0.5 * (p + q), 0.5 * (c + d) + doubt),
+            [Some((p, c)), None] | [None, Some((p, c))] => (p, c + 2.0 * doubt),
             [None, None] => return None,
         };
-        Some(Pose::new((&middle, &(covariance + doubt)), (&between.vector, &between.covariance)))
+        if let Some((point, spread)) = &known.middle {
+            (middle, covariance) = fuse((&middle, &covariance), (point, spread))?;
+        }
+        Some(Pose::new((&middle, &covariance), (&known.between.vector, &known.between.covariance)))
     }
 
     fn views(&self, prior: &Pose, seen: &BTreeMap<usize, Seen>, scene: &Scene) -> Vec<View<'_>> {
@@ -156,29 +174,23 @@ impl Look {
         self.images.iter().filter_map(usable).collect()
     }
 
-    fn fitted(&self, between: &Between, seen: &BTreeMap<usize, Seen>, given: &Given) -> Option<(Vec<View<'_>>, Fitted)> {
-        let prior = self.pose(between)?;
-        let views = self.views(&prior, seen, scene_of(given.scenes, self.index));
+    fn fitted(&self, known: &Known, given: &Given) -> Option<(Vec<View<'_>>, Fitted)> {
+        let prior = self.pose(known)?;
+        let views = self.views(&prior, &known.seen, scene_of(given.scenes, self.index));
         let fitted = fit(&prior, &views, given.merging_px);
         Some((views, fitted))
     }
 
-    /// What is known of the vector after this look, and what each camera saw.
-    pub fn taken_in(
-        &self,
-        between: &Between,
-        seen: &BTreeMap<usize, Seen>,
-        given: &Given,
-    ) -> Option<(Between, Vec<(usize, Choice)>)> {
-        let (views, fitted) = self.fitted(between, seen, given)?;
-        let (vector, covariance) = fitted.pose.between();
+    /// Where the two are after this look, and what each camera saw.
+    pub fn taken_in(&self, known: &Known, given: &Given) -> Option<(Pose, Vec<(usize, Choice)>)> {
+        let (views, fitted) = self.fitted(known, given)?;
         let cameras = views.iter().map(|v| v.camera);
-        Some((Between { vector, covariance }, cameras.zip(fitted.choices).collect()))
+        Some((fitted.pose, cameras.zip(fitted.choices).collect()))
     }
 
     /// The two places and the dots of each.
-    pub fn shared_out(&self, between: &Between, seen: &BTreeMap<usize, Seen>, given: &Given) -> Option<SharedOut> {
-        let (views, fitted) = self.fitted(between, seen, given)?;
+    pub fn shared_out(&self, known: &Known, given: &Given) -> Option<SharedOut> {
+        let (views, fitted) = self.fitted(known, given)?;
         let own = |which: usize| {
             let chosen = views.iter().zip(&fitted.choices).filter_map(|(v, c)| Some(v.candidates[c.of[which]?].dot));
             let mut dots: Vec<u32> = chosen.collect();

@@ -16,9 +16,10 @@ use super::super::share::nearest_px;
 use super::super::{Kind, Sample, Shot, Tracked};
 use crate::correspond::scene::Scene;
 use between::{Habit, median};
+use super::confusion::exchange;
 use look::{Given, Look, looks};
 use nalgebra::Vector3;
-use part::{parts, turned};
+use part::{Anew, parts, turned};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -64,11 +65,11 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
     let close: Vec<&Pair> = found.iter().filter(|p| !found.iter().any(|q| q.excludes(p, &counts))).collect();
     let looks = looks(&close, &counts, scenes, shots, times_s, frames);
     let given = Given { scenes, merging_px };
-    let measured: Vec<Vec<(usize, [Sample; 2])>> =
+    let measured: Vec<Vec<(usize, Anew)>> =
         close.par_iter().zip(&looks).map(|(pair, looks)| pair.measured_anew(looks, &given)).collect();
     for (pair, measured) in close.iter().zip(measured) {
-        for (index, samples) in measured {
-            write(&mut frames[index], samples, |t| pair.passes(&counts, t), (scene_of(scenes, index), &shots[index]));
+        for (index, anew) in measured {
+            write(&mut frames[index], anew, |t| pair.passes(&counts, t), (scene_of(scenes, index), &shots[index]));
         }
     }
     !close.is_empty()
@@ -146,7 +147,7 @@ fn habit(
 
 impl Pair {
     /// By frame, the samples of the two.
-    fn measured_anew(&self, looks: &[Look], given: &Given) -> Vec<(usize, [Sample; 2])> {
+    fn measured_anew(&self, looks: &[Look], given: &Given) -> Vec<(usize, Anew)> {
         let parts = parts(self, looks, given);
         let turned = turned(&parts, &self.habit);
         let [a, b] = self.tracks;
@@ -184,13 +185,15 @@ impl Pair {
     }
 }
 
-/// Puts the two in the place of what their trajectories had, unless their dots are another one's by now; of those that
-/// pass, what has lost its rays goes.
-fn write(frame: &mut Tracked, samples: [Sample; 2], passes: impl Fn(u32) -> bool, (scene, shot): (&Scene, &Shot)) {
+/// Puts the two in the place of what their trajectories had, and takes away what has lost its rays of those that pass.
+/// Where there may be one only, or the dots are another one's by now, what their trajectories had goes by its place.
+fn write(frame: &mut Tracked, anew: Anew, passes: impl Fn(u32) -> bool, (scene, shot): (&Scene, &Shot)) {
+    let Anew { samples, two } = anew;
     let tracks = samples.each_ref().map(|s| s.track);
     let others = || frame.samples.iter().filter(|s| !tracks.contains(&s.track) && !passes(s.track));
     let taken = samples.iter().flat_map(|s| &s.dots).any(|d| others().any(|o| o.dots.contains(d)));
-    if taken || samples.iter().all(|s| s.dots.is_empty()) {
+    if !two || taken || samples.iter().all(|s| s.dots.is_empty()) {
+        rename(frame, &samples);
         return;
     }
     let own: Vec<&Sample> = frame.samples.iter().filter(|s| tracks.contains(&s.track)).collect();
@@ -206,4 +209,16 @@ fn write(frame: &mut Tracked, samples: [Sample; 2], passes: impl Fn(u32) -> bool
     let seen = samples.into_iter().zip(hardware).filter(|(s, _)| !s.dots.is_empty());
     frame.samples.extend(seen.map(|(s, hardware)| Sample { confidence, hardware, ..s }.with_rays(&rays)));
     frame.samples.sort_by_key(|s| s.track);
+}
+
+/// Gives what the two trajectories have measured to the one or the other by where the two are.
+fn rename(frame: &mut Tracked, samples: &[Sample; 2]) {
+    let is_own = |s: &Sample| s.kind == Kind::Measured && samples.iter().any(|o| o.track == s.track);
+    let off = |crossed: bool| -> f64 {
+        let to = |s: &Sample| samples.iter().position(|o| (o.track == s.track) != crossed).map(|k| &samples[k]);
+        frame.samples.iter().filter(|s| is_own(s)).filter_map(|s| Some((to(s)?.point - s.point).norm())).sum()
+    };
+    if off(true) < off(false) {
+        exchange(frame, samples.each_ref().map(|s| s.track));
+    }
 }

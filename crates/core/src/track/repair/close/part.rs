@@ -2,23 +2,35 @@
 
 use super::Pair;
 use super::between::{Between, Habit};
-use super::fit::{Seen, both_sides, remembered};
-use super::look::{Given, Look, SharedOut};
+use super::fit::{both_sides, remembered};
+use super::look::{Given, Known, Look, SharedOut};
 use crate::track::Sample;
-use nalgebra::Matrix3;
+use crate::track::filter::{Filter, Step, fuse};
+use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 
 /// What a frame that had the two this way is worth, and what motion from part to part says at most (nats).
 const AGREED: f64 = 0.2;
 const MOST_OF_MOTION: f64 = 12.0;
+/// Acceleration of the middle of the two (m/s²), and of a push.
+const ACCELERATION: f64 = 30.0;
+const PUSH: f64 = 100.0;
 /// Two that no camera has seen apart for so long may be one by now (s).
 const MERGED_S: f64 = 0.5;
 
-/// What is known of the vector, and of what each camera sees.
+/// What is known on the way through the looks: besides what the next one is told, how the middle of the two moves.
 #[derive(Clone)]
 struct State {
-    between: Between,
-    seen: BTreeMap<usize, Seen>,
+    known: Known,
+    motion: Option<Filter>,
+    time_s: f64,
+}
+
+/// Two markers measured anew.
+pub struct Anew {
+    pub samples: [Sample; 2],
+    /// Whether there are two: some camera saw them apart not long before and after.
+    pub two: bool,
 }
 
 /// A part of the take.
@@ -37,9 +49,7 @@ pub fn parts<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>>
 /// between, and a new part begins.
 fn smoothed<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>> {
     let (before, end) = passed(pair, looks, 0..looks.len(), None, given);
-    let doubt = Matrix3::identity() * pair.habit.any_way();
-    let end = end.map(|s| State { between: Between { covariance: doubt, ..s.between }, ..s });
-    let (after, _) = passed(pair, looks, (0..looks.len()).rev(), end, given);
+    let (after, _) = passed(pair, looks, (0..looks.len()).rev(), end.map(|s| s.known.between.vector), given);
     let mut parts: Vec<Part> = Vec::new();
     let (mut from, mut agreed) = (0, true);
     let mut found = Vec::with_capacity(looks.len());
@@ -49,53 +59,86 @@ fn smoothed<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>> 
             parts.push(Part { looks: &looks[from..k], found: std::mem::take(&mut found) });
             (from, agreed) = (k, agree);
         }
-        let state = match (before[k].clone(), after[k].clone()) {
+        let known = match (before[k].clone(), after[k].clone()) {
             (Some(a), Some(b)) if agree => Some(a.with(&b)),
             (Some(a), Some(b)) => Some(a.with(&b.turned())),
             (one, other) => one.or(other),
         };
-        found.push(state.and_then(|s| look.shared_out(&s.between, &s.seen, given)));
+        found.push(known.and_then(|k| look.shared_out(&k, given)));
     }
     parts.push(Part { looks: &looks[from..], found });
     parts
 }
 
-/// What the frames before say of each frame, in this order, and what is known in the end. Without a `start`, the first
-/// frame that saw the two apart is one.
+/// What the frames before say of each frame, in this order, and what is known in the end. It starts with a vector (m), or
+/// with the first frame that saw the two apart.
 fn passed(
     pair: &Pair,
     looks: &[Look],
     order: impl Iterator<Item = usize>,
-    start: Option<State>,
+    start: Option<Vector3<f64>>,
     given: &Given,
-) -> (Vec<Option<State>>, Option<State>) {
-    let mut said: Vec<Option<State>> = vec![None; looks.len()];
-    let mut last_s = None;
-    let mut state = start;
+) -> (Vec<Option<Known>>, Option<State>) {
+    let mut said: Vec<Option<Known>> = vec![None; looks.len()];
+    let mut state: Option<State> = None;
     for k in order {
         let look = &looks[k];
-        let dt_s: f64 = look.time_s - last_s.unwrap_or(look.time_s);
-        let first = || {
-            let covariance = Matrix3::identity() * pair.habit.any_way();
-            look.apart.map(|vector| State { between: Between { vector, covariance }, seen: BTreeMap::new() })
+        let now = match state.take() {
+            Some(state) => Some(state.at(look.time_s, &pair.habit)),
+            None => start.or(look.apart).map(|vector| State::starting(vector, &pair.habit)),
         };
-        let now = state.map(|s| State { between: s.between.after(dt_s, &pair.habit), ..s }).or_else(first);
-        last_s = Some(look.time_s);
-        said[k].clone_from(&now);
-        state = now.map(|now| look.taken_in(&now.between, &now.seen, given).map_or(now, |(vector, choices)| {
-            let seen = choices.into_iter().map(|(camera, choice)| (camera, remembered(choice))).collect();
-            State { between: vector, seen }
-        }));
+        said[k] = now.as_ref().map(|s| s.known.clone());
+        state = now.map(|now| State { time_s: look.time_s, ..now.with_look(look, given) });
     }
     (said, state)
 }
 
 impl State {
+    fn starting(vector: Vector3<f64>, habit: &Habit) -> Self {
+        let between = Between { vector, covariance: Matrix3::identity() * habit.any_way() };
+        Self { known: Known { between, middle: None, seen: BTreeMap::new() }, motion: None, time_s: 0.0 }
+    }
+
+    fn at(self, time_s: f64, habit: &Habit) -> Self {
+        let dt_s = (time_s - self.time_s).abs();
+        let step = Step::new(dt_s.max(1e-6));
+        let motion = self.motion.map(|mut m| {
+            m.predict(&step, ACCELERATION);
+            m
+        });
+        let pushed = Matrix3::identity() * (PUSH * PUSH * step.jump_variance());
+        let middle = motion.as_ref().map(|m| (m.position, m.covariance() + pushed));
+        let between = self.known.between.after(dt_s, habit);
+        Self { known: Known { between, middle, ..self.known }, motion, ..self }
+    }
+
+    fn with_look(self, look: &Look, given: &Given) -> Self {
+        let Some((pose, choices)) = look.taken_in(&self.known, given) else { return self };
+        let (vector, covariance) = pose.between();
+        let (place, spread) = pose.middle();
+        let seen = choices.into_iter().map(|(camera, choice)| (camera, remembered(choice))).collect();
+        let motion = match self.motion {
+            Some(mut motion) => {
+                motion.update(place, &spread);
+                motion
+            }
+            None => Filter::new(place, &spread, ACCELERATION),
+        };
+        let known = Known { between: Between { vector, covariance }, middle: None, seen };
+        Self { known, motion: Some(motion), ..self }
+    }
+}
+
+impl Known {
     fn with(mut self, other: &Self) -> Self {
         for (camera, seen) in &other.seen {
             self.seen.entry(*camera).and_modify(|s| *s = both_sides(s, seen)).or_insert(*seen);
         }
-        Self { between: self.between.with(&other.between), ..self }
+        let middle = match (&self.middle, &other.middle) {
+            (Some((p, c)), Some((q, d))) => fuse((p, c), (q, d)),
+            (one, other) => (*one).or(*other),
+        };
+        Self { between: self.between.with(&other.between), middle, seen: self.seen }
     }
 
     /// The one as the other.
@@ -129,12 +172,13 @@ impl Part<'_> {
         (2.0 * v.dot(&w) / variance).clamp(-MOST_OF_MOTION, MOST_OF_MOTION)
     }
 
-    /// By frame, the samples of the two under their trajectories' identities.
-    pub fn samples(self, tracks: [u32; 2]) -> Vec<(usize, [Sample; 2])> {
+    /// By frame, the two under their trajectories' identities.
+    pub fn samples(self, tracks: [u32; 2]) -> Vec<(usize, Anew)> {
         let two = two_at(self.looks, &self.found);
-        let sample =
-            |((look, found), _): ((&Look, Option<SharedOut>), bool)| Some((look.index, found?.samples(tracks, look)));
-        self.looks.iter().zip(self.found).zip(two).filter(|(_, two)| *two).filter_map(sample).collect()
+        let anew = |((look, found), two): ((&Look, Option<SharedOut>), bool)| {
+            Some((look.index, Anew { samples: found?.samples(tracks, look), two }))
+        };
+        self.looks.iter().zip(self.found).zip(two).filter_map(anew).collect()
     }
 }
 
