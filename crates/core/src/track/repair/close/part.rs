@@ -14,7 +14,7 @@ const AGREED: f64 = 0.2;
 const MOST_OF_MOTION: f64 = 12.0;
 /// Acceleration of the middle of the two (m/s²), and of a push.
 const ACCELERATION: f64 = 30.0;
-const PUSH: f64 = 100.0;
+const PUSH: f64 = 40.0;
 /// Two that no camera has seen apart for so long may be one by now (s).
 const MERGED_S: f64 = 0.5;
 
@@ -24,6 +24,12 @@ struct State {
     known: Known,
     motion: Option<Filter>,
     time_s: f64,
+}
+
+/// What one way in time says of a look, and how likely the look then is (logarithm).
+struct Said {
+    known: Known,
+    likely: f64,
 }
 
 /// Two markers measured anew.
@@ -45,29 +51,30 @@ pub fn parts<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>>
     chunks.flat_map(|chunk| smoothed(pair, chunk, given)).collect()
 }
 
-/// Forwards, backwards, and both together; where one way in time has the vector point against the other, it was lost
-/// between, and a new part begins.
+/// Forwards, backwards, and both together. Where one way in time has the vector point against the other, it was lost
+/// between: there is a new part, in which the likelier way counts.
 fn smoothed<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>> {
     let (before, end) = passed(pair, looks, 0..looks.len(), None, given);
     let (after, _) = passed(pair, looks, (0..looks.len()).rev(), end.map(|s| s.known.between.vector), given);
-    let mut parts: Vec<Part> = Vec::new();
-    let (mut from, mut agreed) = (0, true);
-    let mut found = Vec::with_capacity(looks.len());
-    for (k, look) in looks.iter().enumerate() {
-        let agree = before[k].iter().zip(&after[k]).all(|(a, b)| a.between.vector.dot(&b.between.vector) >= 0.0);
-        if agree != agreed {
-            parts.push(Part { looks: &looks[from..k], found: std::mem::take(&mut found) });
-            (from, agreed) = (k, agree);
-        }
-        let known = match (before[k].clone(), after[k].clone()) {
-            (Some(a), Some(b)) if agree => Some(a.with(&b)),
-            (Some(a), Some(b)) => Some(a.with(&b.turned())),
-            (one, other) => one.or(other),
+    let agree = |k: usize| {
+        before[k].iter().zip(&after[k]).all(|(a, b)| a.known.between.vector.dot(&b.known.between.vector) >= 0.0)
+    };
+    let all: Vec<usize> = (0..looks.len()).collect();
+    let part = |own: &[usize]| {
+        let likely = |ways: &[Option<Said>]| -> f64 { own.iter().filter_map(|&k| Some(ways[k].as_ref()?.likely)).sum() };
+        let ways = match (agree(own[0]), likely(&before) >= likely(&after)) {
+            (true, _) => [Some(&before), Some(&after)],
+            (false, true) => [Some(&before), None],
+            (false, false) => [None, Some(&after)],
         };
-        found.push(known.and_then(|k| look.shared_out(&k, given)));
-    }
-    parts.push(Part { looks: &looks[from..], found });
-    parts
+        let known = |k: usize| {
+            let said = ways.into_iter().flatten().filter_map(|w| w[k].as_ref()).map(|s| s.known.clone());
+            said.reduce(|a, b| a.with(&b))
+        };
+        let found = own.iter().map(|&k| looks[k].shared_out(&known(k)?, given)).collect();
+        Part { looks: &looks[own[0]..=own[own.len() - 1]], found }
+    };
+    all.chunk_by(|&a, &b| agree(a) == agree(b)).map(part).collect()
 }
 
 /// What the frames before say of each frame, in this order, and what is known in the end. It starts with a vector (m), or
@@ -78,8 +85,8 @@ fn passed(
     order: impl Iterator<Item = usize>,
     start: Option<Vector3<f64>>,
     given: &Given,
-) -> (Vec<Option<Known>>, Option<State>) {
-    let mut said: Vec<Option<Known>> = vec![None; looks.len()];
+) -> (Vec<Option<Said>>, Option<State>) {
+    let mut said: Vec<Option<Said>> = looks.iter().map(|_| None).collect();
     let mut state: Option<State> = None;
     for k in order {
         let look = &looks[k];
@@ -87,8 +94,12 @@ fn passed(
             Some(state) => Some(state.at(look.time_s, &pair.habit)),
             None => start.or(look.apart).map(|vector| State::starting(vector, &pair.habit)),
         };
-        said[k] = now.as_ref().map(|s| s.known.clone());
-        state = now.map(|now| State { time_s: look.time_s, ..now.with_look(look, given) });
+        state = now.map(|now| {
+            let known = now.known.clone();
+            let (next, likely) = now.with_look(look, given);
+            said[k] = Some(Said { known, likely });
+            State { time_s: look.time_s, ..next }
+        });
     }
     (said, state)
 }
@@ -112,8 +123,9 @@ impl State {
         Self { known: Known { between, middle, ..self.known }, motion, ..self }
     }
 
-    fn with_look(self, look: &Look, given: &Given) -> Self {
-        let Some((pose, choices)) = look.taken_in(&self.known, given) else { return self };
+    /// With a look taken in, and how likely that look was.
+    fn with_look(self, look: &Look, given: &Given) -> (Self, f64) {
+        let Some((pose, choices, likely)) = look.taken_in(&self.known, given) else { return (self, 0.0) };
         let (vector, covariance) = pose.between();
         let (place, spread) = pose.middle();
         let seen = choices.into_iter().map(|(camera, choice)| (camera, remembered(choice))).collect();
@@ -125,7 +137,7 @@ impl State {
             None => Filter::new(place, &spread, ACCELERATION),
         };
         let known = Known { between: Between { vector, covariance }, middle: None, seen };
-        Self { known, motion: Some(motion), ..self }
+        (Self { known, motion: Some(motion), ..self }, likely)
     }
 }
 
@@ -139,13 +151,6 @@ impl Known {
             (one, other) => (*one).or(*other),
         };
         Self { between: self.between.with(&other.between), middle, seen: self.seen }
-    }
-
-    /// The one as the other.
-    fn turned(mut self) -> Self {
-        self.seen.values_mut().for_each(|s| s.swap(1, 2));
-        self.between.vector = -self.between.vector;
-        self
     }
 }
 
