@@ -74,8 +74,6 @@ pub struct Fitted {
     pub pose: Pose,
     /// By camera, in the order of the views.
     pub choices: Vec<Choice>,
-    /// Logarithm of how much likelier that is than dots of nobody.
-    pub likely: f64,
 }
 
 impl Pose {
@@ -147,7 +145,7 @@ pub fn fit(prior: &Pose, views: &[View], merging_px: f64) -> Fitted {
         kept = next;
     }
     let best = kept.swap_remove(0);
-    Fitted { pose: best.pose, choices: best.choices, likely: best.likely }
+    Fitted { pose: best.pose, choices: best.choices }
 }
 
 /// All ways to explain one camera's dots.

@@ -181,11 +181,11 @@ impl Look {
         Some((views, fitted))
     }
 
-    /// Where the two are after this look, what each camera saw, and how likely that is.
-    pub fn taken_in(&self, known: &Known, given: &Given) -> Option<(Pose, Vec<(usize, Choice)>, f64)> {
+    /// Where the two are after this look, and what each camera saw.
+    pub fn taken_in(&self, known: &Known, given: &Given) -> Option<(Pose, Vec<(usize, Choice)>)> {
         let (views, fitted) = self.fitted(known, given)?;
         let cameras = views.iter().map(|v| v.camera);
-        Some((fitted.pose, cameras.zip(fitted.choices).collect(), fitted.likely))
+        Some((fitted.pose, cameras.zip(fitted.choices).collect()))
     }
 
     /// The two places and the dots of each.

@@ -2,7 +2,7 @@
 
 use super::Pair;
 use super::between::{Between, Habit};
-use super::fit::{both_sides, remembered};
+use super::fit::{Choice, Pose, both_sides, remembered};
 use super::look::{Given, Known, Look, SharedOut};
 use crate::track::Sample;
 use crate::track::filter::{Filter, Step, fuse};
@@ -10,11 +10,13 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 
 /// What a frame that had the two this way is worth, and what motion from part to part says at most (nats).
-const AGREED: f64 = 0.2;
-const MOST_OF_MOTION: f64 = 12.0;
+const AGREED: f64 = 0.05;
+const MOST_OF_MOTION: f64 = 20.0;
 /// Acceleration of the middle of the two (m/s²), and of a push.
 const ACCELERATION: f64 = 30.0;
 const PUSH: f64 = 40.0;
+/// Variance of a middle of which nothing is known (m²).
+const UNKNOWN_M2: f64 = 1.0;
 /// Two that no camera has seen apart for so long may be one by now (s).
 const MERGED_S: f64 = 0.5;
 
@@ -26,10 +28,10 @@ struct State {
     time_s: f64,
 }
 
-/// What one way in time says of a look, and how likely the look then is (logarithm).
+/// What one way in time says of a look: before it, and where the two are with it (m).
 struct Said {
     known: Known,
-    likely: f64,
+    places: [Vector3<f64>; 2],
 }
 
 /// Two markers measured anew.
@@ -51,18 +53,15 @@ pub fn parts<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>>
     chunks.flat_map(|chunk| smoothed(pair, chunk, given)).collect()
 }
 
-/// Forwards, backwards, and both together. Where one way in time has the vector point against the other, it was lost
-/// between: there is a new part, in which the likelier way counts.
+/// Forwards, backwards, and both together. Where one way in time has the two elsewhere, one way got lost: there is a new part, in which the way counts that is surer.
 fn smoothed<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>> {
     let (before, end) = passed(pair, looks, 0..looks.len(), None, given);
     let (after, _) = passed(pair, looks, (0..looks.len()).rev(), end.map(|s| s.known.between.vector), given);
-    let agree = |k: usize| {
-        before[k].iter().zip(&after[k]).all(|(a, b)| a.known.between.vector.dot(&b.known.between.vector) >= 0.0)
-    };
+    let agree = |k: usize| before[k].iter().zip(&after[k]).all(|(a, b)| a.agrees_with(b, &pair.habit));
     let all: Vec<usize> = (0..looks.len()).collect();
     let part = |own: &[usize]| {
-        let likely = |ways: &[Option<Said>]| -> f64 { own.iter().filter_map(|&k| Some(ways[k].as_ref()?.likely)).sum() };
-        let ways = match (agree(own[0]), likely(&before) >= likely(&after)) {
+        let doubt = |ways: &[Option<Said>]| -> f64 { own.iter().filter_map(|&k| Some(ways[k].as_ref()?.ln_spread())).sum() };
+        let ways = match (agree(own[0]), doubt(&before) <= doubt(&after)) {
             (true, _) => [Some(&before), Some(&after)],
             (false, true) => [Some(&before), None],
             (false, false) => [None, Some(&after)],
@@ -96,9 +95,9 @@ fn passed(
         };
         state = now.map(|now| {
             let known = now.known.clone();
-            let (next, likely) = now.with_look(look, given);
-            said[k] = Some(Said { known, likely });
-            State { time_s: look.time_s, ..next }
+            let Some((pose, choices)) = look.taken_in(&known, given) else { return now };
+            said[k] = Some(Said { known, places: [pose.place(0).0, pose.place(1).0] });
+            State { time_s: look.time_s, ..now.with(&pose, choices) }
         });
     }
     (said, state)
@@ -123,9 +122,8 @@ impl State {
         Self { known: Known { between, middle, ..self.known }, motion, ..self }
     }
 
-    /// With a look taken in, and how likely that look was.
-    fn with_look(self, look: &Look, given: &Given) -> (Self, f64) {
-        let Some((pose, choices, likely)) = look.taken_in(&self.known, given) else { return (self, 0.0) };
+    /// With what a look had.
+    fn with(self, pose: &Pose, choices: Vec<(usize, Choice)>) -> Self {
         let (vector, covariance) = pose.between();
         let (place, spread) = pose.middle();
         let seen = choices.into_iter().map(|(camera, choice)| (camera, remembered(choice))).collect();
@@ -137,7 +135,21 @@ impl State {
             None => Filter::new(place, &spread, ACCELERATION),
         };
         let known = Known { between: Between { vector, covariance }, middle: None, seen };
-        (Self { known, motion: Some(motion), ..self }, likely)
+        Self { known, motion: Some(motion), ..self }
+    }
+}
+
+impl Said {
+    /// Whether both ways have the two in the same places, and not one of them in the other's.
+    fn agrees_with(&self, other: &Self, habit: &Habit) -> bool {
+        let squared = |k: usize| (self.places[k] - other.places[k]).norm_squared();
+        squared(0) + squared(1) < habit.length_m.powi(2)
+    }
+
+    /// Logarithm of the variance of what is said before the look (m²).
+    fn ln_spread(&self) -> f64 {
+        let middle = self.known.middle.map_or(UNKNOWN_M2, |m| m.1.trace());
+        (middle + self.known.between.covariance.trace()).ln()
     }
 }
 
