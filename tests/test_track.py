@@ -73,6 +73,31 @@ def test_a_dot_that_another_marker_took_is_taken_back() -> None:
     assert result["ghosts_per_frame"] == 0
 
 
+def test_two_markers_that_most_cameras_see_as_one_dot_are_both_measured_and_keep_who_they_are() -> None:
+    """11 mm apart on a hand, where dots nearer than 3 px are one: the vector between them tells which is which."""
+    take = ml.simulate(ml.make_scene("walk", cameras=8, sigma_px=0.3, frames=700, seed=2))
+    pair = ("hand_l_1", "hand_l_2")
+    place = {(int(f), n): x for f, n, x in zip(take.truth.frame, take.truth.label, take.truth.xyz_mm, strict=True)}
+    found = ml.track(take.observations, take.rig)
+    own = found.keep(found.kind == 0)
+    named: dict[str, list[int]] = {name: [] for name in pair}
+    for frame in range(take.scene.frames):
+        rows = np.flatnonzero(own.frame == frame)
+        for name in pair:
+            off = np.linalg.norm(own.xyz_mm[rows] - place[frame, name], axis=1)
+            named[name] += own.track[rows[off < 5.0]].tolist()
+    for name in pair:
+        usual = max(set(named[name]), key=named[name].count)
+        assert named[name].count(usual) >= 0.99 * len(named[name])
+        assert len(named[name]) > 0.85 * take.scene.frames
+    assert (
+        ml.evaluate(found, ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig), tolerance_mm=25)[
+            "id_switches"
+        ]
+        == 0
+    )
+
+
 def test_a_dance_keeps_its_identities() -> None:
     take = ml.simulate(ml.make_scene("dance", frames=1000, markers=33, sigma_px=0.3, seed=0))
     truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)

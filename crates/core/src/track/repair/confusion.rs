@@ -315,7 +315,11 @@ mod tests {
     fn near_markers_get_back_what_they_have_of_each_other() {
         let (truth, times_s) = take(400);
         let mut frames = truth.clone();
-        exchange_where(&mut frames, [4, 5], &(0..400).map(|f| (150..230).contains(&f) || f == 300).collect::<Vec<bool>>());
+        exchange_where(
+            &mut frames,
+            [4, 5],
+            &(0..400).map(|f| (150..230).contains(&f) || f == 300).collect::<Vec<bool>>(),
+        );
         // In a part of the time only one of the two is seen.
         let hidden = |f: usize, track: u32| (150..180).contains(&f) && track == 5;
         let hide = |frames: &mut Vec<Tracked>| {

@@ -94,3 +94,37 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn turning(rate: f64) -> Vec<(f64, Vector3<f64>)> {
+        let at = |k: usize| {
+            let (sin, cos) = (rate * k as f64 / 100.0).sin_cos();
+            // Which is which is not known: every other one points the other way.
+            let sign = [1.0, -1.0][k % 2];
+            (k as f64 / 100.0, sign * Vector3::new(0.01 * cos, 0.01 * sin, 0.0))
+        };
+        (0..300).map(at).collect()
+    }
+
+    #[test]
+    fn length_and_turning_are_learned_whichever_way_the_vectors_point() {
+        let slow = Habit::learned(&turning(1.0), 20).unwrap();
+        let fast = Habit::learned(&turning(6.0), 20).unwrap();
+        assert!((slow.length_m - 0.01).abs() < 1e-6 && (slow.spread_m - LEAST_SPREAD_M).abs() < 1e-6);
+        assert!(fast.turning > 4.0 * slow.turning && fast.holds_s() < slow.holds_s());
+        assert!(Habit::learned(&turning(1.0)[..10], 20).is_none());
+    }
+
+    #[test]
+    fn a_vector_gets_as_long_as_ever_and_less_well_known() {
+        let habit = Habit::learned(&turning(2.0), 20).unwrap();
+        let short = Between { vector: Vector3::new(0.007, 0.0, 0.0), covariance: Matrix3::identity() * 4e-6 };
+        let later = short.after(0.05, &habit);
+        assert!((later.vector.norm() - 0.01).abs() < 1e-3);
+        assert!(later.covariance[(1, 1)] > short.covariance[(1, 1)]);
+        assert!(later.covariance[(0, 0)] < later.covariance[(1, 1)], "its length is known");
+    }
+}

@@ -139,7 +139,8 @@ pub fn fit(prior: &Pose, views: &[View], merging_px: f64) -> Fitted {
     let nothing = vec![Choice::default(); views.len()];
     let mut kept = vec![Hypothesis { pose: prior.clone(), likely: 0.0, choices: nothing }];
     for v in order {
-        let mut next: Vec<Hypothesis> = kept.iter().flat_map(|h| explained(h, v, &views[v], prior, merging_px)).collect();
+        let mut next: Vec<Hypothesis> =
+            kept.iter().flat_map(|h| explained(h, v, &views[v], prior, merging_px)).collect();
         next.sort_by(|a, b| b.likely.total_cmp(&a.likely));
         next.truncate(BEAM);
         kept = next;
@@ -195,7 +196,11 @@ fn chosen(before: &Pose, choice: Choice, view: &View, start: &Pose) -> Option<(P
             for (which, k) in of.into_iter().enumerate() {
                 let Some(k) = k else { continue };
                 let candidate = &view.candidates[k];
-                take(candidate, [f64::from(u8::from(which == 0)), f64::from(u8::from(which == 1))], candidate.sigma_px)?;
+                take(
+                    candidate,
+                    [f64::from(u8::from(which == 0)), f64::from(u8::from(which == 1))],
+                    candidate.sigma_px,
+                )?;
             }
         }
     }
@@ -247,4 +252,84 @@ pub fn both_sides(before: &Seen, after: &Seen) -> Seen {
     let product: Seen = std::array::from_fn(|k| before[k] * after[k] / USUAL[k]);
     let sum: f64 = product.iter().sum();
     product.map(|p| p / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Rig;
+    use crate::synth::rigs::ring;
+
+    const MERGING_PX: f64 = 3.0;
+
+    fn rig() -> Rig {
+        // 10 mm at 3 m are 3.3 px across.
+        ring(4, 3.0, 20.0, 0.0, [1000.0, 1000.0], 1000.0)
+    }
+
+    /// What the four cameras make of the two: merged where their images are nearer than that; a hidden one has no dot.
+    fn seen(rig: &Rig, places: [Vector3<f64>; 2], hidden: Option<usize>) -> Vec<Vec<Candidate>> {
+        let dot = |dot: u32, pixel| Candidate { dot, pixel, sigma_px: 0.3, ln_alone: -12.0 };
+        let view = |camera: &crate::camera::Camera| {
+            let [p, q] = places.map(|x| camera.project_linear(&x).unwrap().0);
+            match hidden {
+                Some(k) => vec![dot(0, if k == 0 { q } else { p })],
+                None if (q - p).norm() < MERGING_PX => vec![dot(0, 0.5 * (p + q))],
+                None => vec![dot(0, q), dot(1, p)],
+            }
+        };
+        rig.cameras.iter().map(view).collect()
+    }
+
+    fn found(rig: &Rig, prior: &Pose, dots: &[Vec<Candidate>], seen: Seen) -> Fitted {
+        let view = |camera: usize| {
+            let expected = [0, 1].map(|k| rig.cameras[camera].project_linear(&prior.place(k).0).unwrap());
+            View { camera, candidates: &dots[camera], expected, seen }
+        };
+        let views: Vec<View> = (0..dots.len()).map(view).collect();
+        fit(prior, &views, MERGING_PX)
+    }
+
+    fn prior(places: [Vector3<f64>; 2], off: Vector3<f64>) -> Pose {
+        let [p, q] = places;
+        let (middle, between) = (0.5 * (p + q) + off, q - p + 0.3 * off);
+        Pose::new((&middle, &(Matrix3::identity() * 2.5e-5)), (&between, &(Matrix3::identity() * 4e-6)))
+    }
+
+    #[test]
+    fn dots_apart_and_dots_of_both_are_shared_out() {
+        let rig = rig();
+        let places = [Vector3::new(0.0, 0.0, 0.0), Vector3::new(0.0, 0.011, 0.0)];
+        let dots = seen(&rig, places, None);
+        let merged: Vec<bool> = dots.iter().map(|d| d.len() == 1).collect();
+        assert!(merged.contains(&true) && merged.contains(&false));
+        let fitted = found(&rig, &prior(places, Vector3::new(0.004, -0.003, 0.002)), &dots, usual());
+        for (choice, merged) in fitted.choices.iter().zip(merged) {
+            assert_eq!(choice.of, if merged { [Some(0), Some(0)] } else { [Some(1), Some(0)] });
+        }
+        for (k, place) in places.iter().enumerate() {
+            let (point, covariance) = fitted.pose.place(k);
+            assert!((point - place).norm() < 5e-4 && covariance.trace().sqrt() < 3e-3);
+        }
+    }
+
+    #[test]
+    fn a_lone_marker_is_the_one_whose_place_it_has() {
+        let rig = rig();
+        let places = [Vector3::new(0.0, 0.0, 0.0), Vector3::new(0.006, 0.012, 0.003)];
+        for hidden in 0..2 {
+            let dots = seen(&rig, places, Some(hidden));
+            let fitted = found(&rig, &prior(places, Vector3::new(0.001, 0.0, -0.001)), &dots, usual());
+            let own = |k: usize| fitted.choices.iter().filter(|c| c.of[k].is_some()).count();
+            assert_eq!((own(hidden), own(1 - hidden)), (0, 4));
+        }
+    }
+
+    #[test]
+    fn what_a_camera_saw_before_makes_it_likelier() {
+        assert!(remembered(Choice { of: [Some(2), Some(2)] })[0] > 0.9);
+        let one = remembered(Choice { of: [Some(0), None] });
+        assert!(one[1] > 0.8 && (one.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert!(both_sides(&one, &one)[1] > one[1]);
+    }
 }

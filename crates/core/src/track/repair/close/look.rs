@@ -126,7 +126,8 @@ fn images(
             let away = places.iter().map(|(p, r)| ((frame.pixel(dot) - p).norm(), *r)).filter(|(d, r)| d < r);
             away.map(|(d, _)| d).min_by(f64::total_cmp)
         };
-        let usable = |dot: u32| frame.free[dot as usize] || more.contains(&dot) || known.iter().any(|s| s.dots.contains(&dot));
+        let usable =
+            |dot: u32| frame.free[dot as usize] || more.contains(&dot) || known.iter().any(|s| s.dots.contains(&dot));
         let mut near: Vec<(f64, u32)> =
             dots.iter().filter(|&&d| usable(d)).filter_map(|&d| Some((off(d)?, d))).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -214,4 +215,3 @@ impl SharedOut {
         })
     }
 }
-

@@ -14,9 +14,9 @@ mod part;
 use super::super::frame::Frame;
 use super::super::share::nearest_px;
 use super::super::{Kind, Sample, Shot, Tracked};
+use super::confusion::exchange;
 use crate::correspond::scene::Scene;
 use between::{Habit, median};
-use super::confusion::exchange;
 use look::{Given, Look, looks};
 use nalgebra::Vector3;
 use part::{Anew, parts, turned};
@@ -136,7 +136,8 @@ fn habit(
     let image = |&(index, vector): &(usize, Vector3<f64>)| {
         let from = frames[index].samples.iter().find(|s| s.track == tracks[0])?.point;
         let cameras = &scene_of(scenes, index).rig.cameras;
-        let images = |c: &crate::camera::Camera| Some((c.project_linear(&from)?.0, c.project_linear(&(from + vector))?.0));
+        let images =
+            |c: &crate::camera::Camera| Some((c.project_linear(&from)?.0, c.project_linear(&(from + vector))?.0));
         median(cameras.iter().filter_map(images).map(|(p, q)| (q - p).norm()).collect())
     };
     let sampled = apart.iter().step_by(apart.len().div_ceil(100));

@@ -53,14 +53,16 @@ pub fn parts<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>>
     chunks.flat_map(|chunk| smoothed(pair, chunk, given)).collect()
 }
 
-/// Forwards, backwards, and both together. Where one way in time has the two elsewhere, one way got lost: there is a new part, in which the way counts that is surer.
+/// Forwards, backwards, and both together. Where one way in time has the two elsewhere, one of them got lost: there is a
+/// new part, in which the surer way counts.
 fn smoothed<'a>(pair: &Pair, looks: &'a [Look], given: &Given) -> Vec<Part<'a>> {
     let (before, end) = passed(pair, looks, 0..looks.len(), None, given);
     let (after, _) = passed(pair, looks, (0..looks.len()).rev(), end.map(|s| s.known.between.vector), given);
     let agree = |k: usize| before[k].iter().zip(&after[k]).all(|(a, b)| a.agrees_with(b, &pair.habit));
     let all: Vec<usize> = (0..looks.len()).collect();
     let part = |own: &[usize]| {
-        let doubt = |ways: &[Option<Said>]| -> f64 { own.iter().filter_map(|&k| Some(ways[k].as_ref()?.ln_spread())).sum() };
+        let doubt =
+            |ways: &[Option<Said>]| -> f64 { own.iter().filter_map(|&k| Some(ways[k].as_ref()?.ln_spread())).sum() };
         let ways = match (agree(own[0]), doubt(&before) <= doubt(&after)) {
             (true, _) => [Some(&before), Some(&after)],
             (false, true) => [Some(&before), None],
@@ -95,9 +97,10 @@ fn passed(
         };
         state = now.map(|now| {
             let known = now.known.clone();
+            let now = State { time_s: look.time_s, ..now };
             let Some((pose, choices)) = look.taken_in(&known, given) else { return now };
             said[k] = Some(Said { known, places: [pose.place(0).0, pose.place(1).0] });
-            State { time_s: look.time_s, ..now.with(&pose, choices) }
+            now.with(&pose, choices)
         });
     }
     (said, state)
@@ -221,19 +224,14 @@ pub fn turned(parts: &[Part], habit: &Habit) -> Vec<bool> {
     found
 }
 
-/// Whether there are two markers at each look: some camera saw them apart not long before and after.
+/// Whether there are two markers at each look: some camera saw them apart then, or not long before and after.
 fn two_at(looks: &[Look], found: &[Option<SharedOut>]) -> Vec<bool> {
-    let apart = looks.iter().zip(found).filter(|(_, f)| f.as_ref().is_some_and(|f| f.apart));
-    let apart_s: Vec<f64> = apart.map(|(l, _)| l.time_s).collect();
-    let near = |look: &Look| {
-        let after = apart_s.partition_point(|t| *t < look.time_s);
-        let next = apart_s.get(after).copied();
-        let last = after.checked_sub(1).map(|k| apart_s[k]);
-        match (last, next) {
-            (_, Some(t)) if t == look.time_s => true,
-            (Some(last), Some(next)) => next - last < MERGED_S,
-            _ => false,
-        }
+    let apart: Vec<usize> = (0..looks.len()).filter(|&k| found[k].as_ref().is_some_and(|f| f.apart)).collect();
+    let near = |k: usize| {
+        let next = apart.partition_point(|&a| a < k);
+        let [last, next] = [next.checked_sub(1), Some(next)].map(|i| apart.get(i?));
+        let between = last.zip(next).is_some_and(|(&a, &b)| looks[b].time_s - looks[a].time_s < MERGED_S);
+        next == Some(&k) || between
     };
-    looks.iter().map(near).collect()
+    (0..looks.len()).map(near).collect()
 }
