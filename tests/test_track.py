@@ -1,5 +1,6 @@
 """Tracking: identities that hold, live equal to offline, and input that is not a take."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -90,12 +91,16 @@ def test_two_markers_that_most_cameras_see_as_one_dot_are_both_measured_and_keep
         usual = max(set(named[name]), key=named[name].count)
         assert named[name].count(usual) >= 0.99 * len(named[name])
         assert len(named[name]) > 0.85 * take.scene.frames
-    assert (
-        ml.evaluate(found, ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig), tolerance_mm=25)[
-            "id_switches"
-        ]
-        == 0
-    )
+    truth = ml.truth_from_assignments(take.truth, take.truth_assignments, take.rig)
+    assert ml.evaluate(found, truth, tolerance_mm=25)["id_switches"] == 0
+    dots = Counter(zip(*(found.assignments[k].to_pylist() for k in ("frame", "camera", "observation")), strict=True))
+    merged = [frame for (frame, _, _), owners in dots.items() if owners == 2]
+    assert len(merged) > take.scene.frames
+    assert max(dots.values()) == 2
+    both = {max(set(named[name]), key=named[name].count) for name in pair}
+    explained = [ml.explain(found, track, merged[0]) for track in both]
+    used = [{(v.camera, v.observation) for v in e.cameras if v.cause == "used"} for e in explained]
+    assert used[0] & used[1], "a dot of both is used by both"
 
 
 def test_a_dance_keeps_its_identities() -> None:

@@ -37,11 +37,12 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Seen:
-    """The dots of a take, and which trajectory has each of them (−1: none)."""
+    """The dots of a take; which trajectory has each of them, and which other if two markers are one dot (−1: none)."""
 
     cameras: Moves
     dots: MatchedDots
     track: Ints
+    other: Ints
     noise_px: tuple[float, ...]
 
 
@@ -153,9 +154,10 @@ def _view(
     allowed_px = float(GATE * np.hypot(seen.noise_px[camera], spread_px))
     own = np.arange(*rows)[seen.dots.camera[rows[0] : rows[1]] == camera]
     distances = np.linalg.norm(seen.dots.pixel[own] - expected, axis=1)
-    used = np.flatnonzero(seen.track[own] == track)
+    used = np.flatnonzero((seen.track[own] == track) | (seen.other[own] == track))
     if len(used):
-        return _with_dot(seen, one.id, "used", int(own[used[0]]), float(distances[used[0]]), allowed_px)
+        dot = int(own[used[0]])
+        return CameraView(one.id, "used", float(distances[used[0]]), allowed_px, int(seen.dots.observation[dot]), track)
     inside = np.all(np.isfinite(expected)) and np.all((expected > -0.5) & (expected < np.array(one.size_px) - 0.5))
     if not inside:
         return CameraView(one.id, "outside", float("nan"), allowed_px, -1, -1)

@@ -292,9 +292,12 @@ class _Run:
         in_use = found if heal else known
         lag_s = self.moments.of_dots(self.dots)
         report = _report(solved, self.dots, in_use, tracker, list(self.notes), self.causal, self.method, lag_s)
-        owner = np.full(len(self.dots.camera), -1, np.int64)
-        owner[solved["dots"]] = np.repeat(solved["track"], solved["sizes"])
-        seen = Seen(in_use, self.dots, owner, tuple(report["noise_px"].values()))
+        dots, tracks = solved["dots"], np.repeat(solved["track"], solved["sizes"])
+        owner = np.full((2, len(self.dots.camera)), -1, np.int64)
+        first = np.unique(dots, return_index=True)[1]
+        merged = np.setdiff1d(np.arange(len(dots)), first)
+        owner[0, dots[first]], owner[1, dots[merged]] = tracks[first], tracks[merged]
+        seen = Seen(in_use, self.dots, owner[0], owner[1], tuple(report["noise_px"].values()))
         points = as_points(solved, self.dots, known.rig, self.observations, report)
         tracked = TrackedTake.with_dots(points, seen)
         report["gaps"] = gaps(tracked)

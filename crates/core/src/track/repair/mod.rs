@@ -7,9 +7,10 @@
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
 //!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
 //!    brightness is known.
-//! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns.
+//! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
+//!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
-//!    (`regain`).
+//!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`).
 
 pub mod carry;
 mod close;
