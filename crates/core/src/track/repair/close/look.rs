@@ -43,6 +43,8 @@ pub struct Look {
     samples: [Option<(Vector3<f64>, Matrix3<f64>)>; 2],
     /// The vector between them, where they were seen apart.
     pub apart: Option<Vector3<f64>>,
+    /// Whether both told who they are.
+    pub told: bool,
     velocity: Vector3<f64>,
     images: Vec<Image>,
 }
@@ -83,6 +85,7 @@ pub fn looks(
             let Some(some) = own[0].or(own[1]).filter(|_| !pair.is_outlived(close, index)) else { continue };
             let [from, to] = own.map(|s| s.filter(|s| s.kind == Kind::Measured));
             let apart = from.zip(to).filter(|(a, b)| in_one_image(a, b, shot)).map(|(a, b)| b.point - a.point);
+            let told = own.iter().all(|s| s.is_some_and(|s| s.hardware.is_some()));
             let velocity = velocity(frames, times_s, index, some.track);
             let passing = tracked.samples.iter().filter(|s| pair.passes(counts, s.track) && pair.reaches(own, s));
             let more: Vec<u32> = passing.flat_map(|s| s.dots.clone()).collect();
@@ -94,7 +97,7 @@ pub fn looks(
             let lone = own.iter().flatten().filter(|s| s.kind == Kind::Measured).count() == 1;
             let usable = |s: &&Sample| !lone || s.kind == Kind::Measured;
             let samples = own.map(|s| s.filter(usable).map(|s| (s.point, s.covariance)));
-            looks.push(Look { index, time_s: times_s[index], samples, apart, velocity, images });
+            looks.push(Look { index, time_s: times_s[index], samples, apart, told, velocity, images });
         }
     }
     found

@@ -9,8 +9,10 @@ use crate::track::filter::{Filter, Step, fuse};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 
-/// What a frame that had the two this way is worth, and what motion from part to part says at most (nats).
+/// What a frame that had the two this way is worth, also if they are active markers that told who they are, and what motion
+/// from part to part says at most (nats).
 const AGREED: f64 = 0.05;
+const TOLD: f64 = 1.0;
 const MOST_OF_MOTION: f64 = 20.0;
 /// Acceleration of the middle of the two (m/s²), and of a push.
 const ACCELERATION: f64 = 30.0;
@@ -170,10 +172,11 @@ impl Known {
 }
 
 impl Part<'_> {
-    /// In how many more frames the trajectories had the two as they are here than the other way round.
+    /// How surely (nats) the trajectories had the two as they are here, not the other way round.
     fn agreed(&self) -> f64 {
         let agrees = |(look, found): (&Look, &Option<SharedOut>)| {
-            Some(look.apart?.dot(&found.as_ref()?.pose.between().0).signum())
+            let worth = if look.told { TOLD } else { AGREED };
+            Some(worth * look.apart?.dot(&found.as_ref()?.pose.between().0).signum())
         };
         self.looks.iter().zip(&self.found).filter_map(agrees).sum()
     }
@@ -210,7 +213,7 @@ pub fn turned(parts: &[Part], habit: &Habit) -> Vec<bool> {
     for (k, part) in parts.iter().enumerate() {
         let goes_on = k.checked_sub(1).map_or(0.0, |k| parts[k].goes_on_in(part, habit));
         let came = [0, 1].map(|way| if ways[way] + goes_on >= ways[1 - way] { way } else { 1 - way });
-        let evidence = 0.5 * AGREED * part.agreed();
+        let evidence = 0.5 * part.agreed();
         let gain = |way: usize| ways[came[way]] + if came[way] == way { goes_on } else { 0.0 };
         ways = [gain(0) + evidence, gain(1) - evidence];
         from.push(came);
