@@ -2,6 +2,7 @@
 
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import markerloom as ml
 from markerloom.studio.page import page_is_built
+from markerloom.studio.seeing import _owners
 from markerloom.studio.standalone import save_view
 from studio_client import Studio
 
@@ -26,6 +28,14 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
         '[takes.walk]\nfile = "sim/observations.parquet"\n'
     )
     return folder
+
+
+def test_a_dot_of_two_markers_has_two_owners() -> None:
+    columns = {"frames": [5, 6], "starts": [0, 2, 3], "camera": [0, 1, 0], "observation": [0, 0, 0]}
+    dots: Any = SimpleNamespace(**{name: np.array(values) for name, values in columns.items()})
+    rows = [np.array(values) for values in ([6, 5, 5], [0, 0, 0], [0, 0, 0], [4, 3, 9])]
+    assert _owners(dots, *rows).tolist() == [[3, -1, 4], [9, -1, -1]]
+    assert _owners(dots, *(r[:0] for r in rows)).tolist() == [[-1, -1, -1]] * 2
 
 
 def test_dots_have_their_owners_even_after_edits(simulated: Path) -> None:

@@ -58,7 +58,7 @@ def _read(take: OpenTake, rig: Rig) -> CameraDots:
     gone = _union(every, take.processed.of_dots)
     used = left_out(every, gone)
     dots = match(used, rig)
-    owner = np.full(len(dots.camera), -1, np.int64)
+    owner = np.full((2, len(dots.camera)), -1, np.int64)
     file = take.folder / ASSIGNMENTS
     if file.is_file():
         table = table_file.read(file)
@@ -68,19 +68,22 @@ def _read(take: OpenTake, rig: Rig) -> CameraDots:
         owner = _owners(dots, keys[0], told, keys[1], keys[2])
     noise = json.loads((take.folder / "track.json").read_text("utf-8"))["report"].get("noise_px", {})
     noise_px = tuple(float(noise.get(c) or 0.1) for c in rig.ids)
-    return CameraDots(used, left_out(every, ~gone), Seen(Moves(rig), dots, owner, noise_px))
+    return CameraDots(used, left_out(every, ~gone), Seen(Moves(rig), dots, owner[0], owner[1], noise_px))
 
 
 def _owners(dots: MatchedDots, frame: Array, camera: Array, observation: Array, track: Array) -> Array:
-    """The track of each dot, from rows of an assignments table."""
+    """The track of each dot, and the other one of a dot of two markers (2, n), from rows of an assignments table."""
     of_dot = np.repeat(dots.frames, np.diff(dots.starts))
     mine = np.rec.fromarrays([of_dot, dots.camera, dots.observation])
+    if len(track) == 0:
+        return np.full((2, len(mine)), -1, np.int64)
     theirs = np.rec.fromarrays([frame.astype(np.int64), camera, observation.astype(np.int64)])
-    order = np.argsort(theirs, order=("f0", "f1", "f2"))
-    at = np.searchsorted(theirs[order], mine)
-    at = np.minimum(at, max(len(order) - 1, 0))
-    found = theirs[order][at] == mine if len(order) else np.zeros(len(mine), bool)
-    return np.where(found, track[order][at] if len(order) else -1, -1)
+    order = np.argsort(theirs, order=("f0", "f1", "f2"), kind="stable")
+    first = np.searchsorted(theirs[order], mine)
+    at = np.minimum([first, first + 1], len(order) - 1)
+    found = theirs[order][at] == mine
+    found[1] &= at[1] > first
+    return np.where(found, track[order][at], -1)
 
 
 def dots_view(take: OpenTake, frame: int) -> messages.DotsView:
@@ -273,7 +276,8 @@ def _rays(known: CameraDots, frame: int, track: int) -> list[messages.RayView]:
         return []
     rows = np.arange(int(dots.starts[index]), int(dots.starts[index + 1]))
     found = []
-    for r in rows[known.seen.track[rows] == track].tolist():
+    used = (known.seen.track[rows] == track) | (known.seen.other[rows] == track)
+    for r in rows[used].tolist():
         camera = int(dots.camera[r])
         x, y, z = rig.rays(camera, dots.pixel[r][None])[0].tolist()
         found.append(messages.RayView(camera=rig.cameras[camera].id, direction=(x, y, z)))
