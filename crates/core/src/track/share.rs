@@ -12,9 +12,9 @@ use super::marker::Marker;
 use nalgebra::{Vector2, Vector3};
 
 /// What the distance of the nearest two dots of a frame tells about merging: its quantile, followed in steps (px).
-const QUANTILE: f64 = 0.1;
+pub(super) const QUANTILE: f64 = 0.1;
 const STEP_PX: f64 = 0.05;
-const RANGE_PX: [f64; 2] = [1.0, 8.0];
+pub(super) const RANGE_PX: [f64; 2] = [1.0, 8.0];
 /// Only a marker that is known this well is looked for in the dots of others (m).
 const KNOWN: f64 = 0.02;
 /// Two markers whose distance in the image is up to this many merging distances can be one blob at times.

@@ -260,8 +260,8 @@ fn evidence(look: &Look, [one, other, both]: [f64; 3], dt_s: f64) -> f64 {
             let (between, expected) = (q - p, b - a);
             (cost(between, expected, both) - cost(-between, expected, both)).clamp(-BOTH, BOTH)
         }
-        [Some(p), None] => (cost(p, a, one) - cost(p, b, other)).clamp(-3.0, 3.0) * (ONE_PER_S * dt_s).min(1.0),
-        [None, Some(q)] => (cost(q, b, other) - cost(q, a, one)).clamp(-3.0, 3.0) * (ONE_PER_S * dt_s).min(1.0),
+        [Some(p), None] => (cost(p, a, one) - cost(p, b, other)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
+        [None, Some(q)] => (cost(q, b, other) - cost(q, a, one)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
         [None, None] => 0.0,
     }
 }

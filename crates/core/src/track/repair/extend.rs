@@ -9,6 +9,7 @@ use super::super::frame::Frame;
 use super::super::locate::{LocateGates, Located, locate};
 use super::super::view::{Prior, match_cameras};
 use super::super::{Kind, Sample, Shot, Tracked};
+use super::scene_of;
 use crate::correspond::scene::Scene;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -66,7 +67,7 @@ fn run(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frames: &mut
         start_runners(&mut runners, &recent, &here, index, times_s);
         advance(&mut runners, index, times_s);
         if !runners.is_empty() {
-            let scene = scenes[scenes.partition_point(|s| s.0 <= index) - 1].1;
+            let scene = scene_of(scenes, index);
             let found = search(scene, &gates, &shots[index], &frames[index], &mut runners, (index, forwards));
             insert(&mut frames[index], found);
         }

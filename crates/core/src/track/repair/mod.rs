@@ -123,3 +123,8 @@ fn identities(tracklets: &[Tracklet], chains: &[Chain]) -> Vec<Option<u32>> {
     }
     identity
 }
+
+/// The scene that holds in the frame of an index.
+fn scene_of<'a>(scenes: &[(usize, &'a Scene)], index: usize) -> &'a Scene {
+    scenes[scenes.partition_point(|s| s.0 <= index) - 1].1
+}

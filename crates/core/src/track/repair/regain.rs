@@ -7,6 +7,7 @@ use super::super::locate::LocateGates;
 use super::super::view::Prior;
 use super::super::{Kind, Sample, Shot, Tracked};
 use super::extend::found_on_free_dots;
+use super::scene_of;
 use crate::correspond::scene::Scene;
 use nalgebra::Vector3;
 
@@ -23,7 +24,7 @@ pub fn regain(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frame
         if frames[index].samples.iter().all(|s| !is_known(s)) {
             continue;
         }
-        let scene = scenes[scenes.partition_point(|s| s.0 <= index) - 1].1;
+        let scene = scene_of(scenes, index);
         let mut frame = Frame::new(scene, &shots[index].dots);
         frame.lag_s.clone_from(&shots[index].lag_s);
         let own = &frames[index].samples;

@@ -4,9 +4,10 @@ use super::super::super::filter::fuse;
 use super::super::super::frame::Frame;
 use super::super::super::{Kind, Sample, Shot, Tracked};
 use super::super::regain::velocity;
+use super::super::scene_of;
 use super::between::Between;
 use super::fit::{Candidate, Choice, Fitted, Pose, Seen, View, fit, usual};
-use super::{Pair, in_one_image, scene_of};
+use super::{Pair, in_one_image};
 use crate::correspond::scene::Scene;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::collections::BTreeMap;
@@ -165,17 +166,16 @@ impl Look {
     }
 
     fn views(&self, prior: &Pose, seen: &BTreeMap<usize, Seen>, scene: &Scene) -> Vec<View<'_>> {
-        let view = |image: &'_ Image| {
-            let moved = self.velocity * image.lag_s;
-            let camera = &scene.rig.cameras[image.camera];
-            let expected = [0, 1].map(|k| camera.project_linear(&(prior.place(k).0 + moved)));
-            (expected, seen.get(&image.camera).copied().unwrap_or_else(usual))
-        };
-        let usable = |image| {
-            let ([Some(p), Some(q)], seen) = view(image) else { return None };
-            Some(View { camera: image.camera, candidates: &image.candidates, expected: [p, q], seen })
-        };
-        self.images.iter().filter_map(usable).collect()
+        let mut views = Vec::with_capacity(self.images.len());
+        for Image { camera, lag_s, candidates } in &self.images {
+            let image =
+                |k: usize| scene.rig.cameras[*camera].project_linear(&(prior.place(k).0 + self.velocity * *lag_s));
+            if let (Some(p), Some(q)) = (image(0), image(1)) {
+                let seen = seen.get(camera).copied().unwrap_or_else(usual);
+                views.push(View { camera: *camera, candidates, expected: [p, q], seen });
+            }
+        }
+        views
     }
 
     fn fitted(&self, known: &Known, given: &Given) -> Option<(Vec<View<'_>>, Fitted)> {

@@ -12,9 +12,10 @@ mod look;
 mod part;
 
 use super::super::frame::Frame;
-use super::super::share::nearest_px;
+use super::super::share::{QUANTILE, RANGE_PX, nearest_px};
 use super::super::{Kind, Sample, Shot, Tracked};
 use super::confusion::exchange;
+use super::scene_of;
 use crate::correspond::scene::Scene;
 use between::{Habit, median};
 use look::{Given, Look, looks};
@@ -31,10 +32,8 @@ const APART: usize = 20;
 const STIFF: f64 = 0.3;
 /// Two markers whose images are up to this many merging distances apart, by median, run together at times.
 const RUN_TOGETHER: f64 = 2.0;
-/// Frames from which the merging distance is learned, its quantile among the nearest dots, and its range (px).
+/// Frames from which the merging distance is learned.
 const SAMPLED: usize = 600;
-const QUANTILE: f64 = 0.1;
-const MERGING_PX: [f64; 2] = [1.0, 8.0];
 /// A trajectory is much shorter with fewer than one in so many of the frames.
 const MUCH: usize = 2;
 
@@ -75,10 +74,6 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
     !close.is_empty()
 }
 
-fn scene_of<'a>(scenes: &[(usize, &'a Scene)], index: usize) -> &'a Scene {
-    scenes[scenes.partition_point(|s| s.0 <= index) - 1].1
-}
-
 /// By pair of near trajectories, the frames in which a camera saw them apart, with the vector from the one to the other.
 fn seen_apart(frames: &[Tracked], shots: &[Shot]) -> BTreeMap<[u32; 2], Vec<(usize, Vector3<f64>)>> {
     let mut found: BTreeMap<[u32; 2], Vec<(usize, Vector3<f64>)>> = BTreeMap::new();
@@ -110,7 +105,7 @@ fn merging_px(scenes: &[(usize, &Scene)], shots: &[Shot]) -> f64 {
         sampled.filter_map(|i| nearest_px(&Frame::new(scene_of(scenes, i), &shots[i].dots))).collect();
     nearest.sort_unstable_by(f64::total_cmp);
     let low = nearest.get((QUANTILE * nearest.len() as f64) as usize);
-    low.map_or(MERGING_PX[0], |d| d.clamp(MERGING_PX[0], MERGING_PX[1]))
+    low.map_or(RANGE_PX[0], |d| d.clamp(RANGE_PX[0], RANGE_PX[1]))
 }
 
 /// In how many frames each trajectory was measured.
