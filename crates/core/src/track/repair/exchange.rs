@@ -10,6 +10,8 @@ use rayon::prelude::*;
 
 /// What it costs that motion cannot lead from one tracklet to the next (nats).
 pub(super) const IMPOSSIBLE: f64 = -30.0;
+/// Evidence that an exchange by the sides of the others needs (nats).
+const WORTH_TURNING: f64 = 5.0;
 
 /// A better distribution of two chains' tracklets.
 pub(super) struct Swap {
@@ -22,9 +24,9 @@ pub(super) struct Swap {
 }
 
 /// Tracklets of two chains that overlap in time, directly or by others.
-struct Block {
-    ones: Vec<usize>,
-    others: Vec<usize>,
+pub(super) struct Block {
+    pub(super) ones: Vec<usize>,
+    pub(super) others: Vec<usize>,
     /// Evidence of the distances if it stays and if it is exchanged (nats).
     stays: f64,
     exchanged: f64,
@@ -55,30 +57,38 @@ impl Scene<'_> {
     }
 
     fn swap(&self, one: usize, other: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Swap> {
-        let fits = |chain: usize, tracklets: &[usize]| -> f64 {
-            tracklets.iter().map(|&t| Self::links_beside(&profiles[chain], &seen[t], [one, other])).sum()
-        };
         let mut blocks = self.blocks(one, other);
-        for block in &mut blocks {
-            block.stays = fits(one, &block.ones) + fits(other, &block.others);
-            block.exchanged = fits(other, &block.ones) + fits(one, &block.others);
+        let (turned, stays) = self.turned([one, other], &blocks).map_or((None, Vec::new()), |t| (t.chains, t.stays));
+        let enough = if turned.is_some() { WORTH_TURNING } else { 0.0 };
+        if let Some(turned) = turned {
+            let [a, b] = turned.map(|chain| self.profile_of(&chain, &[one, other]));
+            weigh(&mut blocks, [&a, &b], [one, other], seen);
+        } else {
+            weigh(&mut blocks, [&profiles[one], &profiles[other]], [one, other], seen);
         }
-        let as_is = blocks.iter().fold(Way::default(), |way, block| self.after(&way, block, false));
-        let mut ways = vec![Way::default()];
-        for block in &blocks {
-            ways = [false, true].map(|e| self.best_after(&ways, block, e)).to_vec();
+        for (block, stays) in stays {
+            (blocks[block].stays, blocks[block].exchanged) = (stays, 0.0);
         }
-        let best = ways.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        if best.exchanged == as_is.exchanged || best.exchanged.iter().all(|e| *e) {
-            return None;
-        }
+        let (gain, exchanged) = self.best_of(&blocks).filter(|(gain, _)| *gain > enough)?;
         let (mut ones, mut others) = (Vec::new(), Vec::new());
-        for (block, exchanged) in blocks.into_iter().zip(&best.exchanged) {
+        for (block, exchanged) in blocks.into_iter().zip(&exchanged) {
             let (a, b) = if *exchanged { (block.others, block.ones) } else { (block.ones, block.others) };
             ones.extend(a);
             others.extend(b);
         }
-        Some(Swap { gain: best.evidence - as_is.evidence, one, other, ones, others })
+        Some(Swap { gain, one, other, ones, others })
+    }
+
+    /// The best way to hand out the blocks, and what it gains; `None` if it is the present one.
+    fn best_of(&self, blocks: &[Block]) -> Option<(f64, Vec<bool>)> {
+        let as_is = blocks.iter().fold(Way::default(), |way, block| self.after(&way, block, false));
+        let mut ways = vec![Way::default()];
+        for block in blocks {
+            ways = [false, true].map(|e| self.best_after(&ways, block, e)).to_vec();
+        }
+        let best = ways.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
+        let other = best.exchanged != as_is.exchanged && !best.exchanged.iter().all(|e| *e);
+        other.then_some((best.evidence - as_is.evidence, best.exchanged))
     }
 
     /// The tracklets of two chains by blocks, in order of time.
@@ -121,5 +131,17 @@ impl Scene<'_> {
             }
         }
         next
+    }
+}
+
+/// What the distances say of blocks, as they are and exchanged.
+fn weigh(blocks: &mut [Block], profiles: [&[Link]; 2], pair: [usize; 2], seen: &[Vec<Distances>]) {
+    let fits = |profile: &[Link], tracklets: &[usize]| -> f64 {
+        tracklets.iter().map(|&t| Scene::links_beside(profile, &seen[t], pair)).sum()
+    };
+    let [one, other] = profiles;
+    for block in blocks {
+        block.stays = fits(one, &block.ones) + fits(other, &block.others);
+        block.exchanged = fits(other, &block.ones) + fits(one, &block.others);
     }
 }

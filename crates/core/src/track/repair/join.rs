@@ -270,7 +270,7 @@ fn ln_near(off: f64, spread: f64) -> f64 {
 }
 
 /// Places of all chains and joint centres in each frame, by ascending number.
-fn by_frame_with(
+pub(super) fn by_frame_with(
     tracklets: &[Tracklet],
     chains: &[Chain],
     joints: &[Path],
@@ -346,8 +346,7 @@ impl Scene<'_> {
     }
 
     /// Positions of a chain in some of its frames.
-    pub(super) fn samples(&self, chain: usize, most: usize) -> Vec<(usize, Vector3<f64>)> {
-        let own = &self.chains[chain];
+    pub(super) fn samples(&self, own: &Chain, most: usize) -> Vec<(usize, Vector3<f64>)> {
         let mut found = Vec::new();
         for &t in &own.tracklets {
             let share = (most * self.tracklets[t].measured).div_ceil(own.length.max(1)).max(1);
@@ -359,9 +358,14 @@ impl Scene<'_> {
 
     /// A chain's distances to others, the most constant first.
     pub(super) fn profile(&self, chain: usize) -> Vec<Link> {
+        self.profile_of(&self.chains[chain], &[chain])
+    }
+
+    /// The same for any chain, to others than these.
+    pub(super) fn profile_of(&self, own: &Chain, but: &[usize]) -> Vec<Link> {
         let mut sums: std::collections::BTreeMap<usize, [f64; 3]> = std::collections::BTreeMap::new();
-        for (frame, place) in self.samples(chain, PROFILE_FRAMES) {
-            for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| *o != chain) {
+        for (frame, place) in self.samples(own, PROFILE_FRAMES) {
+            for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| !but.contains(o)) {
                 let d = (p - place).norm();
                 let s = sums.entry(*other).or_insert([0.0; 3]);
                 let n = s[0] + 1.0;
@@ -371,15 +375,11 @@ impl Scene<'_> {
                 s[2] += off * (d - s[1]);
             }
         }
-        let noise = |c: usize| {
-            if c >= JOINTS {
-                return RIGID * RIGID;
-            }
-            let own = self.chains[c].tracklets.iter().map(|&t| self.tracklets[t].variance).sum::<f64>();
-            own / self.chains[c].length as f64
-        };
-        let looked_s = |n: f64| n / PROFILE_FRAMES as f64 * self.chains[chain].length as f64 * self.frame_s();
-        let own_noise = noise(chain);
+        let noise_of =
+            |c: &Chain| c.tracklets.iter().map(|&t| self.tracklets[t].variance).sum::<f64>() / c.length as f64;
+        let noise = |c: usize| if c >= JOINTS { RIGID * RIGID } else { noise_of(&self.chains[c]) };
+        let looked_s = |n: f64| n / PROFILE_FRAMES as f64 * own.length as f64 * self.frame_s();
+        let own_noise = noise_of(own);
         let link = |(other, [n, mean, squares]): (usize, [f64; 3])| {
             let noise = own_noise + noise(other);
             let before = UNSEEN_WORTH * (UNSEEN_BY_LENGTH * mean).powi(2);
@@ -401,7 +401,7 @@ impl Scene<'_> {
         let to_all = |(frame, place): (usize, Vector3<f64>)| {
             self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect()
         };
-        self.samples(chain, FRAMES).into_iter().map(to_all).collect()
+        self.samples(&self.chains[chain], FRAMES).into_iter().map(to_all).collect()
     }
 
     /// Distances of one tracklet to all chains.

@@ -3,7 +3,7 @@
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong; pieces that follow
 //!    another one's marker go (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
-//!    (`exchange`) and whole limbs (`relabel`) hand out their pieces anew.
+//!    (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their pieces anew.
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
 //!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
 //!    brightness is known.
@@ -21,6 +21,7 @@ pub mod join;
 pub mod joints;
 mod regain;
 mod relabel;
+mod sides;
 mod told;
 pub mod tracklets;
 mod twins;

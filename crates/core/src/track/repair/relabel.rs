@@ -100,7 +100,7 @@ impl Scene<'_> {
         let n = self.chains.len();
         let near = |c: usize| {
             let mut sums: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
-            for (frame, place) in self.samples(c, super::join::FRAMES) {
+            for (frame, place) in self.samples(&self.chains[c], super::join::FRAMES) {
                 for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| *o < n && *o != c) {
                     let sum = sums.entry(*other).or_default();
                     *sum = [sum[0] + (p - place).norm(), sum[1] + 1.0];

@@ -59,6 +59,12 @@ impl Tracklet {
         Self { track: 0, first_track: 0, followed: 0.0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
     }
 
+    #[cfg(test)]
+    pub(super) fn of_places(first: usize, places: Vec<Option<Vector3<f64>>>) -> Self {
+        let measured = places.iter().flatten().count();
+        Self { places, wide: measured, measured, variance: 1e-8 * measured as f64, ..Self::starting(first) }
+    }
+
     fn together(parts: &[&Self]) -> Self {
         let first = parts.iter().map(|p| p.first).min().unwrap_or(0);
         let last = parts.iter().map(|p| p.last()).max().unwrap_or(0);
