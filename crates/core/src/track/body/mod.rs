@@ -58,7 +58,7 @@ pub struct Carried {
 /// The frame of neighbours that carries a hidden marker.
 #[derive(Clone, Debug, Default)]
 struct Framing {
-    fit: Option<Fit>,
+    fit: Option<Box<Fit>>,
     /// Frames in a row in which it could not be used.
     idle: usize,
 }
@@ -211,6 +211,6 @@ impl Body {
         let lost = self.lost[slot].as_deref().unwrap_or_default();
         let fit = Fit::new(slot, &neighbours, &history, lost, 1.0 / HISTORY_HZ);
         self.fitted += 1;
-        self.fits[slot] = Framing { fit, idle: 0 };
+        self.fits[slot] = Framing { fit: fit.map(Box::new), idle: 0 };
     }
 }

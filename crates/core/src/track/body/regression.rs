@@ -194,8 +194,8 @@ impl Fit {
             self.variance = self.untried_variance(samples);
             return Some(());
         }
-        let moments = Moments::of(samples);
         let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f))).collect();
+        let moments = folds.iter().skip(1).fold(folds[0].clone(), |sum, f| sum.with(f));
         let scale = moments.mean_variance(3 * self.neighbours.len());
         let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
         let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -300,6 +300,7 @@ fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f
 }
 
 /// First and second moments of samples.
+#[derive(Clone)]
 struct Moments {
     count: f64,
     features: Features,
@@ -331,6 +332,16 @@ impl Moments {
         }
         m.features2.fill_upper_triangle_with_lower_triangle();
         m
+    }
+
+    fn with(self, other: &Self) -> Self {
+        Self {
+            count: self.count + other.count,
+            features: self.features + other.features,
+            place: self.place + other.place,
+            features2: self.features2 + other.features2,
+            place_features: self.place_features + other.place_features,
+        }
     }
 
     fn without(&self, other: &Self) -> Self {

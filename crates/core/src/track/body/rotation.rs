@@ -6,6 +6,9 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
+/// After a step this small (rad) the next one is below rounding: Newton's method squares the error.
+const LAST_STEP: f64 = 1e-7;
+
 /// The rotation R that minimises Σ w |R a − b|², for points relative to their centroids.
 pub fn align(a: &[Vector3<f64>], b: &[Vector3<f64>], weights: &[f64], guess: Rotation3<f64>) -> Rotation3<f64> {
     let mut moments = Matrix3::zeros();
@@ -21,18 +24,40 @@ pub fn align(a: &[Vector3<f64>], b: &[Vector3<f64>], weights: &[f64], guess: Rot
             Vector3::new(cross[(1, 2)] - cross[(2, 1)], cross[(2, 0)] - cross[(0, 2)], cross[(0, 1)] - cross[(1, 0)]);
         let inertia = Matrix3::identity() * dot - 0.5 * (cross + cross.transpose());
         // A hair of damping leaves the turn about a line of points alone.
-        let damped = inertia + Matrix3::identity() * (1e-9 * dot.abs() + 1e-15);
-        let step = match damped.cholesky() {
-            Some(factor) => factor.solve(&torque),
-            None => torque / (dot.abs() + torque.norm() + 1e-15),
-        };
+        let step = solve(&inertia, 1e-9 * dot.abs() + 1e-15, &torque)
+            .unwrap_or_else(|| torque / (dot.abs() + torque.norm() + 1e-15));
         let step = if step.norm() > 1.0 { step.normalize() } else { step };
-        rotation = Rotation3::new(step) * rotation;
-        if step.norm() < 1e-10 {
+        rotation = turn(&step) * rotation;
+        if step.norm() < LAST_STEP {
             break;
         }
     }
     rotation
+}
+
+/// Solution of (M + d I) x = v for a symmetric M, by L D Lᵀ; `None` if it is not positive definite.
+fn solve(m: &Matrix3<f64>, damping: f64, v: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let d1 = m.m11 + damping;
+    let (l2, l3) = (m.m21 / d1, m.m31 / d1);
+    let d2 = m.m22 + damping - l2 * m.m21;
+    let t = m.m32 - l3 * m.m21;
+    let l = t / d2;
+    let d3 = m.m33 + damping - l3 * m.m31 - l * t;
+    if d1 <= 0.0 || d2 <= 0.0 || d3 <= 0.0 {
+        return None;
+    }
+    let y = v.y - l2 * v.x;
+    let z = (v.z - l3 * v.x - l * y) / d3;
+    let y = y / d2 - l * z;
+    Some(Vector3::new(v.x / d1 - l2 * y - l3 * z, y, z))
+}
+
+/// A rotation by a small step, to the second order and without a sine (Cayley 1846): what is missed, the next step makes good.
+fn turn(step: &Vector3<f64>) -> Rotation3<f64> {
+    let h = 0.5 * step;
+    let norm2 = h.norm_squared();
+    let matrix = Matrix3::identity() * (1.0 - norm2) + 2.0 * (h * h.transpose() + h.cross_matrix());
+    Rotation3::from_matrix_unchecked(matrix / (1.0 + norm2))
 }
 
 #[cfg(test)]
