@@ -195,7 +195,7 @@ impl Fit {
             return Some(());
         }
         let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f))).collect();
-        let moments = folds.iter().skip(1).fold(folds[0].clone(), |sum, f| sum.with(f));
+        let moments = folds.iter().skip(1).fold(folds[0].clone(), Moments::with);
         let scale = moments.mean_variance(3 * self.neighbours.len());
         let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
         let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;

@@ -7,6 +7,7 @@
 
 use super::join::{Distances, Link, Scene};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// What it costs that motion cannot lead from one tracklet to the next (nats).
 pub(super) const IMPOSSIBLE: f64 = -30.0;
@@ -24,12 +25,23 @@ pub(super) struct Swap {
 }
 
 /// Tracklets of two chains that overlap in time, directly or by others.
+#[derive(Default)]
 pub(super) struct Block {
     pub(super) ones: Vec<usize>,
     pub(super) others: Vec<usize>,
     /// Evidence of the distances if it stays and if it is exchanged (nats).
-    stays: f64,
-    exchanged: f64,
+    pub(super) stays: f64,
+    pub(super) exchanged: f64,
+    pub(super) led: Vec<Led>,
+}
+
+/// A tracklet to which the forward pass came from another one.
+pub(super) struct Led {
+    is_one: bool,
+    /// Number of the other's block, and whether it is a one there.
+    leader: (usize, bool),
+    /// Evidence that the two are one marker (nats).
+    evidence: f64,
 }
 
 /// A way to distribute the blocks so far.
@@ -69,7 +81,8 @@ impl Scene<'_> {
         for (block, stays) in stays {
             (blocks[block].stays, blocks[block].exchanged) = (stays, 0.0);
         }
-        let (gain, exchanged) = self.best_of(&blocks).filter(|(gain, _)| *gain > enough)?;
+        let apart_m = Self::apart_m(&profiles[one], other);
+        let (gain, exchanged) = self.best_of(&blocks, apart_m).filter(|(gain, _)| *gain > enough)?;
         let (mut ones, mut others) = (Vec::new(), Vec::new());
         for (block, exchanged) in blocks.into_iter().zip(&exchanged) {
             let (a, b) = if *exchanged { (block.others, block.ones) } else { (block.ones, block.others) };
@@ -79,16 +92,23 @@ impl Scene<'_> {
         Some(Swap { gain, one, other, ones, others })
     }
 
-    /// The best way to hand out the blocks, and what it gains; `None` if it is the present one.
-    fn best_of(&self, blocks: &[Block]) -> Option<(f64, Vec<bool>)> {
-        let as_is = blocks.iter().fold(Way::default(), |way, block| self.after(&way, block, false));
+    /// The best way to hand out the blocks of two chains, so far apart if they stay near each other (m), and what it gains;
+    /// `None` if it is the present one.
+    fn best_of(&self, blocks: &[Block], apart_m: Option<f64>) -> Option<(f64, Vec<bool>)> {
+        let as_is = blocks.iter().fold(Way::default(), |way, block| self.after(&way, block, false, apart_m));
+        let (evidence, exchanged) = self.likeliest(blocks, apart_m);
+        let other = exchanged != as_is.exchanged && !exchanged.iter().all(|e| *e);
+        other.then_some((evidence - as_is.evidence, exchanged))
+    }
+
+    /// The best way to hand out the blocks: its evidence, and which are exchanged.
+    pub(super) fn likeliest(&self, blocks: &[Block], apart_m: Option<f64>) -> (f64, Vec<bool>) {
         let mut ways = vec![Way::default()];
         for block in blocks {
-            ways = [false, true].map(|e| self.best_after(&ways, block, e)).to_vec();
+            ways = [false, true].map(|e| self.best_after(&ways, block, e, apart_m)).to_vec();
         }
-        let best = ways.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        let other = best.exchanged != as_is.exchanged && !best.exchanged.iter().all(|e| *e);
-        other.then_some((best.evidence - as_is.evidence, best.exchanged))
+        let best = ways.into_iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence)).unwrap_or_default();
+        (best.evidence, best.exchanged)
     }
 
     /// The tracklets of two chains by blocks, in order of time.
@@ -101,33 +121,54 @@ impl Scene<'_> {
         for (t, is_one) in all {
             let (first, last) = (self.tracklets[t].first, self.tracklets[t].last());
             if end.is_none_or(|end| first > end) {
-                blocks.push(Block { ones: Vec::new(), others: Vec::new(), stays: 0.0, exchanged: 0.0 });
+                blocks.push(Block::default());
             }
             end = end.max(Some(last));
             let Some(block) = blocks.last_mut() else { continue };
             if is_one { block.ones.push(t) } else { block.others.push(t) }
         }
+        self.follow(&mut blocks);
         blocks
     }
 
-    fn best_after(&self, ways: &[Way], block: &Block, exchanged: bool) -> Way {
-        let all = ways.iter().map(|way| self.after(way, block, exchanged));
+    /// Notes to which tracklets of blocks the forward pass came from others of them.
+    pub(super) fn follow(&self, blocks: &mut [Block]) {
+        let sides = |(k, b): (usize, &Block)| {
+            let of = |own: &[usize], is_one: bool| own.iter().map(move |&t| (t, (k, is_one))).collect::<Vec<_>>();
+            [of(&b.ones, true), of(&b.others, false)].concat()
+        };
+        let place: BTreeMap<usize, (usize, bool)> = blocks.iter().enumerate().flat_map(sides).collect();
+        for (&t, &(block, is_one)) in &place {
+            if let Some((leader, evidence)) = self.leader(t)
+                && let Some(&leader) = place.get(&leader)
+            {
+                blocks[block].led.push(Led { is_one, leader, evidence });
+            }
+        }
+    }
+
+    fn best_after(&self, ways: &[Way], block: &Block, exchanged: bool, apart_m: Option<f64>) -> Way {
+        let all = ways.iter().map(|way| self.after(way, block, exchanged, apart_m));
         all.max_by(|a, b| a.evidence.total_cmp(&b.evidence)).unwrap_or_default()
     }
 
     /// A way with one more block.
-    fn after(&self, way: &Way, block: &Block, exchanged: bool) -> Way {
+    fn after(&self, way: &Way, block: &Block, exchanged: bool, apart_m: Option<f64>) -> Way {
         let mut next = way.clone();
         next.exchanged.push(exchanged);
         next.evidence += if exchanged { block.exchanged } else { block.stays };
+        let together = |l: &&Led| l.is_one ^ exchanged == l.leader.1 ^ next.exchanged[l.leader.0];
+        next.evidence += block.led.iter().filter(together).map(|l| l.evidence).sum::<f64>();
         let parts = if exchanged { [&block.others, &block.ones] } else { [&block.ones, &block.others] };
-        for (last, part) in next.last.iter_mut().zip(parts) {
-            for &t in part {
-                if let Some(before) = *last {
-                    let bridge = self.bridge(&self.tracklets[before], &self.tracklets[t]);
-                    next.evidence += bridge.unwrap_or(IMPOSSIBLE);
+        for k in [0, 1] {
+            for &t in parts[k] {
+                let first = self.tracklets[t].first;
+                let beside =
+                    parts[1 - k].iter().copied().rfind(|&u| self.tracklets[u].last() < first).or(way.last[1 - k]);
+                if let Some(before) = next.last[k] {
+                    next.evidence += self.leads(before, t, beside.zip(apart_m)).unwrap_or(IMPOSSIBLE);
                 }
-                *last = Some(t);
+                next.last[k] = Some(t);
             }
         }
         next
@@ -135,7 +176,7 @@ impl Scene<'_> {
 }
 
 /// What the distances say of blocks, as they are and exchanged.
-fn weigh(blocks: &mut [Block], profiles: [&[Link]; 2], pair: [usize; 2], seen: &[Vec<Distances>]) {
+pub(super) fn weigh(blocks: &mut [Block], profiles: [&[Link]; 2], pair: [usize; 2], seen: &[Vec<Distances>]) {
     let fits = |profile: &[Link], tracklets: &[usize]| -> f64 {
         tracklets.iter().map(|&t| Scene::links_beside(profile, &seen[t], pair)).sum()
     };

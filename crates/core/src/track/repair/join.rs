@@ -6,10 +6,12 @@
 //! ratio against "two different markers"; distances of one stretch of time count once, not once per frame, because
 //! poses change slowly.
 
+use super::bridge::leaders;
 use super::joints::{Path, joint_centers};
 use super::tracklets::Tracklet;
 use crate::assignment::assign;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 
 /// Evidence needed to join (nats): the sure cases first, so that the unsure ones have more to go by. In the end little
 /// is needed: a marker that vanishes and another that appears from nowhere are a rare coincidence.
@@ -46,20 +48,9 @@ const SURELY_RIGID: f64 = 0.98;
 /// What a link's spread is held for before anything was seen, by its length, and what that belief is worth (samples).
 const UNSEEN_BY_LENGTH: f64 = 0.03;
 const UNSEEN_WORTH: f64 = 2.0;
-/// Acceleration that a limb may undergo unseen (m/s²), and the fastest marker (m/s).
-const ACCELERATION: f64 = 25.0;
-const FASTEST: f64 = 9.0;
-/// How often a limb's acceleration turns into another (1/s).
-const CHANGES_PER_S: f64 = 6.0;
-/// What it says that the forward pass followed a marker from one tracklet to the next by its rays (nats).
-const FOLLOWED: f64 = 4.0;
-/// Volume in which another marker could as well have appeared (m³), and bounds of the evidence of motion (nats).
-const ELSEWHERE: f64 = 0.2;
-const MOTION_FOR: f64 = 8.0;
-/// How far a limb's marker may get about its body, however long it was hidden (m); from there on motion says little.
-const LIMB_RANGE: f64 = 0.35;
-const MOTION_AGAINST_LATER: f64 = -2.0;
-
+/// Two markers so near to each other, by no more and no less (m), tell of each other's motion.
+const NEAR: f64 = 0.12;
+const STAYS: f64 = 0.01;
 /// How much less is unseen of a joint centre's distance.
 const DOUBT_IN_JOINTS: f64 = 0.2;
 /// Numbers from which the links' other ends are joint centres.
@@ -97,6 +88,11 @@ impl Link {
         RIGID + self.spread + self.unseen * (BEYOND_SEEN * self.spread + BEYOND_LENGTH * self.mean)
     }
 
+    /// Distance to a marker that stays near (m).
+    pub(super) fn near_m(&self) -> Option<f64> {
+        (self.mean < NEAR && self.spread < STAYS).then_some(self.mean)
+    }
+
     /// What the link's evidence counts: witnesses are not independent.
     pub(super) fn weight(&self) -> f64 {
         SHARE + (1.0 - SHARE) * self.rigid
@@ -126,17 +122,10 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
-    for round in 0..EXCHANGES {
-        told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
+    loop {
+        hand_out(tracklets, times_s, &mut chains, told);
         let joints = joints_of(tracklets, &chains, times_s.len());
-        if !exchange(tracklets, times_s, &mut chains, &joints) {
-            break;
-        }
-    }
-    for round in 0..RELABELLINGS {
-        told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
-        let joints = joints_of(tracklets, &chains, times_s.len());
-        if !relabel(tracklets, times_s, &mut chains, &joints) {
+        if !absorb(tracklets, times_s, &mut chains, &joints) {
             break;
         }
     }
@@ -149,11 +138,28 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
     chains
 }
 
+/// Two chains at a time, then whole limbs, hand out their tracklets anew until nothing is gained any more.
+fn hand_out(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, told: &dyn Fn(f64)) {
+    for round in 0..EXCHANGES {
+        told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
+        let joints = joints_of(tracklets, chains, times_s.len());
+        if !exchange(tracklets, times_s, chains, &joints) {
+            break;
+        }
+    }
+    for round in 0..RELABELLINGS {
+        told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
+        let joints = joints_of(tracklets, chains, times_s.len());
+        if !relabel(tracklets, times_s, chains, &joints) {
+            break;
+        }
+    }
+}
+
 /// Every two chains are held against each other's profiles (`exchange.rs`); those exchanges that gain the most are made.
 /// Whether anything changed.
 fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
-    let mut swaps = Scene { tracklets, times_s, chains, by_frame }.swaps();
+    let mut swaps = Scene::new(tracklets, times_s, chains, joints).swaps();
     swaps.retain(|s| s.gain > WORTH_EXCHANGING);
     swaps.sort_by(|a, b| b.gain.total_cmp(&a.gain).then((a.one, a.other).cmp(&(b.one, b.other))));
     let mut touched = vec![false; chains.len()];
@@ -175,8 +181,7 @@ fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, jo
 /// Every chain and its nearest ones hand out their tracklets anew (`relabel.rs`); those that gain the most do so. Whether
 /// anything changed.
 fn relabel(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
-    let mut found = Scene { tracklets, times_s, chains, by_frame }.relabellings();
+    let mut found = Scene::new(tracklets, times_s, chains, joints).relabellings();
     found.retain(|r| r.gain > WORTH_EXCHANGING);
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.chains.cmp(&b.chains)));
     let mut touched = vec![false; chains.len()];
@@ -195,10 +200,31 @@ fn relabel(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joi
     changed
 }
 
+/// Chains that are one too many are handed out to two others (`absorb.rs`); those that gain the most first. Whether anything
+/// changed.
+fn absorb(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
+    let mut found = Scene::new(tracklets, times_s, chains, joints).absorbed();
+    found.retain(|a| a.gain > WORTH_EXCHANGING);
+    found.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.chains.cmp(&b.chains)));
+    let mut touched = vec![false; chains.len()];
+    let mut changed = false;
+    for one in found {
+        if one.chains.iter().any(|&c| touched[c]) {
+            continue;
+        }
+        for (c, own) in one.chains.into_iter().zip([one.ones, one.others, Vec::new()]) {
+            (touched[c], changed) = (true, true);
+            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
+            chains[c].tracklets = own;
+        }
+    }
+    chains.retain(|c| !c.tracklets.is_empty());
+    changed
+}
+
 /// One round: the pairs with the most evidence are joined, each chain once. Whether anything was joined.
 fn join_once(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path], enough: f64) -> bool {
-    let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
-    let pairs = Scene { tracklets, times_s, chains, by_frame }.pairs(enough);
+    let pairs = Scene::new(tracklets, times_s, chains, joints).pairs(enough);
     let mut chosen =
         best_pairs(&pairs, |a, b| tracklets[chains[a].tracklets[0]].first <= tracklets[chains[b].tracklets[0]].first);
     chosen.sort_by(|a, b| b.2.total_cmp(&a.2).then((a.0, a.1).cmp(&(b.0, b.1))));
@@ -227,7 +253,7 @@ fn best_pairs(pairs: &[(usize, usize, f64)], in_order: impl Fn(usize, usize) -> 
         list.sort_unstable();
         list.dedup();
     }
-    let mut costs = std::collections::BTreeMap::new();
+    let mut costs = BTreeMap::new();
     for (index, (a, b)) in ordered.iter().enumerate() {
         costs.insert((rows.partition_point(|r| r < a), columns.partition_point(|c| c < b)), index);
     }
@@ -262,15 +288,8 @@ fn joints_of(tracklets: &[Tracklet], chains: &[Chain], frames: usize) -> Vec<Pat
     joint_centers(&paths, &noise, &pieces, &pieces_noise)
 }
 
-/// Logarithm of a heavy-tailed density of an offset over that of another marker, within bounds.
-fn ln_near(off: f64, spread: f64) -> f64 {
-    let squared = off * off / (spread * spread);
-    let ln_here = -1.5 * std::f64::consts::TAU.ln() - 3.0 * spread.ln() - 2.5 * (squared / 5.0).ln_1p();
-    (ln_here + ELSEWHERE.ln()).clamp(-MOTION_FOR, MOTION_FOR)
-}
-
 /// Places of all chains and joint centres in each frame, by ascending number.
-pub(super) fn by_frame_with(
+fn by_frame_with(
     tracklets: &[Tracklet],
     chains: &[Chain],
     joints: &[Path],
@@ -296,11 +315,22 @@ pub(super) fn by_frame_with(
 /// Distances to other chains in one frame, by ascending chain.
 pub(super) type Distances = Vec<(usize, f64)>;
 
+/// Chains in the making, and what they are made of.
 pub(super) struct Scene<'a> {
     pub(super) tracklets: &'a [Tracklet],
     pub(super) times_s: &'a [f64],
     pub(super) chains: &'a [Chain],
     pub(super) by_frame: Vec<Vec<(usize, Vector3<f64>)>>,
+    /// By tracklet, the one from whose end the forward pass came to it under the same identity.
+    pub(super) leaders: Vec<Option<usize>>,
+}
+
+impl<'a> Scene<'a> {
+    /// Chains of tracklets, beside joint centres.
+    pub(super) fn new(tracklets: &'a [Tracklet], times_s: &'a [f64], chains: &'a [Chain], joints: &[Path]) -> Self {
+        let by_frame = by_frame_with(tracklets, chains, joints, times_s.len());
+        Self { tracklets, times_s, chains, by_frame, leaders: leaders(tracklets) }
+    }
 }
 
 impl Scene<'_> {
@@ -332,19 +362,6 @@ impl Scene<'_> {
         if n < 2 { 0.01 } else { (self.times_s[n - 1] - self.times_s[0]) / (n - 1) as f64 }
     }
 
-    /// How the others moved between two frames, on average: nearby ones count more (m).
-    fn drift(&self, from: usize, to: usize, place: &Vector3<f64>) -> Vector3<f64> {
-        let (mut sum, mut weight) = (Vector3::zeros(), 1e-9);
-        for (chain, p) in &self.by_frame[from] {
-            if let Some((_, q)) = self.by_frame[to].iter().find(|(o, _)| o == chain) {
-                let w = 1.0 / ((p - place).norm_squared() + 0.04);
-                sum += (q - p) * w;
-                weight += w;
-            }
-        }
-        sum / weight
-    }
-
     /// Positions of a chain in some of its frames.
     pub(super) fn samples(&self, own: &Chain, most: usize) -> Vec<(usize, Vector3<f64>)> {
         let mut found = Vec::new();
@@ -356,6 +373,11 @@ impl Scene<'_> {
         found
     }
 
+    /// How far apart two chains are (m) if they are markers that stay near each other, by the profile of the one.
+    pub(super) fn apart_m(profile: &[Link], other: usize) -> Option<f64> {
+        profile.iter().find(|l| l.other == other)?.near_m()
+    }
+
     /// A chain's distances to others, the most constant first.
     pub(super) fn profile(&self, chain: usize) -> Vec<Link> {
         self.profile_of(&self.chains[chain], &[chain])
@@ -363,7 +385,7 @@ impl Scene<'_> {
 
     /// The same for any chain, to others than these.
     pub(super) fn profile_of(&self, own: &Chain, but: &[usize]) -> Vec<Link> {
-        let mut sums: std::collections::BTreeMap<usize, [f64; 3]> = std::collections::BTreeMap::new();
+        let mut sums: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
         for (frame, place) in self.samples(own, PROFILE_FRAMES) {
             for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| !but.contains(o)) {
                 let d = (p - place).norm();
@@ -414,19 +436,6 @@ impl Scene<'_> {
         one.frames(FRAMES).into_iter().filter_map(to_all).collect()
     }
 
-    /// Evidence of motion along tracklets in order of time; `None` if they overlap or nothing moves so fast.
-    fn path_evidence(&self, sequence: &[usize]) -> Option<f64> {
-        let mut total = 0.0;
-        for pair in sequence.windows(2) {
-            let (before, after) = (&self.tracklets[pair[0]], &self.tracklets[pair[1]]);
-            if before.last() >= after.first {
-                return None;
-            }
-            total += self.bridge(before, after)?;
-        }
-        Some(total)
-    }
-
     /// Evidence of the distances: those of one chain under the profile of another.
     fn links(profile: &[Link], samples: &[Distances]) -> f64 {
         Self::links_beside(profile, samples, [usize::MAX; 2])
@@ -452,58 +461,6 @@ impl Scene<'_> {
             }
         }
         total
-    }
-
-    /// Evidence of motion that two chains are one: along both together, beyond that along each. `None` if they overlap
-    /// or nothing moves so fast.
-    fn motion(&self, a: usize, b: usize) -> Option<f64> {
-        let (one, other) = (&self.chains[a].tracklets, &self.chains[b].tracklets);
-        let mut both: Vec<usize> = one.iter().chain(other).copied().collect();
-        both.sort_unstable_by_key(|&t| (self.tracklets[t].first, t));
-        let together = self.path_evidence(&both)?;
-        Some((together - self.path_evidence(one)? - self.path_evidence(other)?).min(2.0 * MOTION_FOR))
-    }
-
-    /// Evidence that one tracklet goes on as another, by their places and velocities at the gap.
-    pub(super) fn bridge(&self, before: &Tracklet, after: &Tracklet) -> Option<f64> {
-        let gap_s = self.times_s[after.first] - self.times_s[before.last()];
-        let (p, q) = (before.at(before.last())?, after.at(after.first)?);
-        if (q - p).norm() > FASTEST * gap_s + 0.05 {
-            return None;
-        }
-        let later = |from: &Vector3<f64>| {
-            let moved = from + self.drift(before.last(), after.first, from);
-            ln_near((q - moved).norm(), LIMB_RANGE).max(MOTION_AGAINST_LATER)
-        };
-        let (v, w) = (self.velocity(before, true), self.velocity(after, false));
-        let carried = match (v, w) {
-            (Some(v), Some(w)) => p + (v + w) * (0.5 * gap_s),
-            (Some(v), None) | (None, Some(v)) => p + v * gap_s,
-            (None, None) => p,
-        };
-        let unknown = if v.is_some() || w.is_some() { 0.0 } else { 2.0 * gap_s };
-        // With both velocities, only what the acceleration changes by is unforeseen.
-        let smooth = if v.is_some() && w.is_some() { CHANGES_PER_S * gap_s } else { 1.0 };
-        let spread = 0.004 + 0.25 * ACCELERATION * gap_s * gap_s * smooth.min(1.0) + unknown;
-        let motion = if spread > LIMB_RANGE { later(&p) } else { ln_near((q - carried).norm(), spread) };
-        Some(motion + FOLLOWED * after.followed_from(before))
-    }
-
-    /// Velocity at the end or the beginning of a tracklet (m/s), over up to 30 ms or two frames.
-    fn velocity(&self, tracklet: &Tracklet, at_end: bool) -> Option<Vector3<f64>> {
-        let here = if at_end { tracklet.last() } else { tracklet.first };
-        let mut best = None;
-        for step in 1..tracklet.places.len() {
-            let there = if at_end { here - step } else { here + step };
-            let dt_s = self.times_s[here] - self.times_s[there];
-            if let (Some(p), Some(q)) = (tracklet.at(here), tracklet.at(there)) {
-                best = Some((p - q) / dt_s);
-            }
-            if dt_s.abs() > 0.03 {
-                break;
-            }
-        }
-        best
     }
 }
 

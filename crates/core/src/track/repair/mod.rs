@@ -2,8 +2,9 @@
 //!
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong; pieces that follow
 //!    another one's marker go (`twins`).
-//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion; then two chains at a time
-//!    (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their pieces anew.
+//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two chains at
+//!    a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their pieces anew,
+//!    and three of which only two are ever seen at once become two (`absorb`).
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
 //!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
 //!    brightness is known.
@@ -12,6 +13,8 @@
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
 //!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`).
 
+mod absorb;
+mod bridge;
 pub mod carry;
 mod close;
 mod confusion;

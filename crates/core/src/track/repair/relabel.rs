@@ -66,6 +66,10 @@ struct Group<'a> {
     /// In order of time, and the chain that each has now.
     tracklets: Vec<usize>,
     now: Vec<u8>,
+    /// By tracklet, the earlier one from which the forward pass came to it, and what that says (nats).
+    leaders: Vec<Option<(usize, f64)>>,
+    /// By chain and chain, how far apart they are (m) if they stay near each other.
+    apart_m: Vec<Vec<Option<f64>>>,
     /// By tracklet and chain: evidence of the distances to what is not in the group.
     outside: Vec<Vec<f64>>,
     /// By pair of tracklets (the later first) that share frames: evidence by their chains.
@@ -127,7 +131,15 @@ impl<'a> Group<'a> {
         all.sort_by_key(|&(t, _)| (scene.tracklets[t].first, t));
         let (tracklets, now): (Vec<usize>, Vec<u8>) = all.into_iter().unzip();
         let outside = tracklets.iter().map(|&t| outside(known, &chains, t)).collect();
-        let mut group = Self { scene, chains, tracklets, now, outside, inside: BTreeMap::new() };
+        let place: BTreeMap<usize, usize> = tracklets.iter().enumerate().map(|(k, &t)| (t, k)).collect();
+        let leader = |(k, &t): (usize, &usize)| {
+            let (leader, evidence) = scene.leader(t)?;
+            place.get(&leader).filter(|l| **l < k).map(|&l| (l, evidence))
+        };
+        let leaders = tracklets.iter().enumerate().map(leader).collect();
+        let apart = |a: &usize, b: &usize| known.links[*a].get(b).and_then(Link::near_m);
+        let apart_m = chains.iter().map(|a| chains.iter().map(|b| apart(a, b)).collect()).collect();
+        let mut group = Self { scene, chains, tracklets, now, leaders, apart_m, outside, inside: BTreeMap::new() };
         for later in 0..group.tracklets.len() {
             for earlier in 0..later {
                 let (one, other) =
@@ -180,9 +192,11 @@ impl<'a> Group<'a> {
         // Chains along the ways that were followed: each with the place of the one before.
         let mut trail: Vec<(usize, u8)> = vec![(0, 0)];
         for t in 0..self.tracklets.len() {
-            as_is = self.after(&as_is, t, self.now[t])?;
+            as_is = self.after(&as_is, t, self.now[t], |u| self.now[u])?;
             let mut next: BTreeMap<Vec<Option<usize>>, Way> = BTreeMap::new();
-            for way in ways.iter().flat_map(|way| (0..n as u8).filter_map(|g| self.after(way, t, g))) {
+            let chain_of = |way: &Way, u: usize| trail[(u + 1..t).fold(way.before, |at, _| trail[at].0)].1;
+            let given = |way: &Way, g: u8| self.after(way, t, g, |u| chain_of(way, u));
+            for way in ways.iter().flat_map(|way| (0..n as u8).filter_map(move |g| given(way, g))) {
                 match next.get(&way.last) {
                     Some(known) if known.evidence >= way.evidence => {}
                     _ => {
@@ -210,16 +224,22 @@ impl<'a> Group<'a> {
         Some(Relabelling { gain: best.evidence - as_is.evidence, chains: self.chains.clone(), tracklets })
     }
 
-    /// A way with one more tracklet given to a chain; `None` where that has another at the time.
-    fn after(&self, way: &Way, t: usize, chain: u8) -> Option<Way> {
+    /// A way with one more tracklet given to a chain; `None` where that has another at the time. `chain_of`: the chains of
+    /// those before it.
+    fn after(&self, way: &Way, t: usize, chain: u8, chain_of: impl Fn(usize) -> u8) -> Option<Way> {
         let g = chain as usize;
         let own = &self.scene.tracklets[self.tracklets[t]];
-        let before = way.last[g].map(|u| &self.scene.tracklets[self.tracklets[u]]);
-        if before.is_some_and(|b| b.last() >= own.first) {
+        let last_of = |u: usize| self.scene.tracklets[self.tracklets[u]].last();
+        if way.last[g].is_some_and(|u| last_of(u) >= own.first) {
             return None;
         }
-        let motion = before.map_or(ONE_MORE, |b| self.scene.bridge(b, own).unwrap_or(IMPOSSIBLE));
-        let mut evidence = way.evidence + motion + self.outside[t][g];
+        let near = way.last.iter().zip(&self.apart_m[g]).filter_map(|(u, apart_m)| u.zip(*apart_m));
+        let beside = near.filter(|(u, _)| last_of(*u) < own.first).max_by_key(|(u, _)| (last_of(*u), *u));
+        let beside = beside.map(|(u, apart_m)| (self.tracklets[u], apart_m));
+        let leads = |u: usize| self.scene.leads(self.tracklets[u], self.tracklets[t], beside).unwrap_or(IMPOSSIBLE);
+        let motion = way.last[g].map_or(ONE_MORE, leads);
+        let together = self.leaders[t].filter(|&(leader, _)| chain_of(leader) == chain);
+        let mut evidence = way.evidence + motion + together.map_or(0.0, |l| l.1) + self.outside[t][g];
         // What shares frames with it is the last of its chain.
         for (other, u) in way.last.iter().enumerate() {
             if let Some(by_chains) = u.and_then(|u| self.inside.get(&(t, u))) {

@@ -292,8 +292,7 @@ mod tests {
             })
             .collect();
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
-        let by_frame = super::super::join::by_frame_with(&tracklets, &chains, &[], FRAMES);
-        let scene = Scene { tracklets: &tracklets, times_s: &times_s, chains: &chains, by_frame };
+        let scene = Scene::new(&tracklets, &times_s, &chains, &[]);
         let swap = scene.swaps().into_iter().find(|s| [s.one, s.other] == [4, 5]).expect("they are exchanged");
         for own in [&swap.ones, &swap.others] {
             let owners: Vec<usize> = own.iter().map(|&t| owner[t]).collect();

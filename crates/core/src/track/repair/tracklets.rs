@@ -31,6 +31,8 @@ pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
+/// Two tracklets so near to each other (in their usual errors) may be two halves of one marker's rays.
+const BESIDE: f64 = 10.0;
 /// Measured frames up to which a stretch may be a chance meeting of rays.
 const FLICKER: usize = 2;
 
@@ -39,8 +41,9 @@ const FLICKER: usize = 2;
 pub struct Tracklet {
     /// Identity that the forward pass gave it last, and first.
     pub track: u32,
-    first_track: u32,
-    /// Share of the hidden frames before it in which the forward pass followed that identity by a ray.
+    pub(super) first_track: u32,
+    /// Share of the hidden frames before it in which the forward pass followed that first identity by a ray that met its
+    /// predictions; a name alone that comes back says nothing.
     pub(super) followed: f64,
     /// Index of its first frame.
     pub first: usize,
@@ -93,10 +96,18 @@ impl Tracklet {
         self.variance += sample.covariance.trace() / 3.0;
     }
 
-    /// How surely the forward pass followed the marker from the end of another tracklet to the beginning of this one, 0–1: by
-    /// a ray that met its predictions; a name alone that comes back says nothing.
-    pub fn followed_from(&self, before: &Self) -> f64 {
-        if before.track == self.first_track { self.followed } else { 0.0 }
+    /// Loses a sample at one of its ends.
+    fn give_up(&mut self, index: usize, sample: &Sample) {
+        self.places[index - self.first] = None;
+        self.wide -= usize::from(sample.dots.len() >= 3);
+        self.measured -= 1;
+        self.variance -= sample.covariance.trace() / 3.0;
+        let lost = self.places.iter().take_while(|p| p.is_none()).count();
+        self.places.drain(..lost);
+        self.first += lost;
+        while self.places.last().is_some_and(Option::is_none) {
+            self.places.pop();
+        }
     }
 
     /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
@@ -107,6 +118,16 @@ impl Tracklet {
     /// Index of the last frame.
     pub fn last(&self) -> usize {
         self.first + self.places.len() - 1
+    }
+
+    /// Usual variance of a place per axis (m²).
+    pub(super) fn variance_m2(&self) -> f64 {
+        self.variance / self.measured as f64
+    }
+
+    /// Usual error of a place (m).
+    fn noise(&self) -> f64 {
+        (3.0 * self.variance_m2()).sqrt()
     }
 
     /// Position in a frame.
@@ -174,7 +195,47 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
         tracklets = merged(&tracklets, &parts);
         owner.iter_mut().flatten().flatten().for_each(|t| *t = parts[*t]);
     }
+    trim_handovers(&mut tracklets, &mut owner, frames);
     (tracklets, owner)
+}
+
+/// Where one tracklet ends and another begins beside it, the forward pass handed a marker over; in a frame or two it had it
+/// twice, each with some of its rays. Of the two the one that fewer cameras saw is shortened: else they could not be one.
+fn trim_handovers(tracklets: &mut [Tracklet], owner: &mut [Vec<Option<usize>>], frames: &[Tracked]) {
+    let mut beginning: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, one) in tracklets.iter().enumerate() {
+        beginning.entry(one.first).or_default().push(i);
+    }
+    for a in 0..tracklets.len() {
+        for back in 0..RUN_UP {
+            let last = tracklets[a].last();
+            let Some(first) = last.checked_sub(back).filter(|f| *f > tracklets[a].first) else { continue };
+            for &b in beginning.get(&first).into_iter().flatten() {
+                if !is_handover(&tracklets[a], &tracklets[b]) {
+                    continue;
+                }
+                let share = |t: usize| tracklets[t].wide as f64 / tracklets[t].measured as f64;
+                let shortened = if share(a) < share(b) { a } else { b };
+                for f in first..=last {
+                    if let Some(s) = owner[f].iter().position(|o| *o == Some(shortened)) {
+                        owner[f][s] = None;
+                        tracklets[shortened].give_up(f, &frames[f].samples[s]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Whether a tracklet begins where another ends, beside it, so that they may be one marker.
+fn is_handover(ended: &Tracklet, begun: &Tracklet) -> bool {
+    let (first, last) = (begun.first, ended.last());
+    let reach = BESIDE * ended.noise().hypot(begun.noise());
+    let is_beside = |f: usize| match (ended.at(f), begun.at(f)) {
+        (Some(p), Some(q)) => (p - q).norm() < reach,
+        _ => true,
+    };
+    ended.first < first && first <= last && last < begun.last() && (first..=last).all(is_beside)
 }
 
 /// Tells for each tracklet the number of the one that it is part of, by times (s) and the usual acceleration (m/s²).
@@ -204,7 +265,10 @@ fn fitting_into_holes(tracklets: &[Tracklet], times_s: &[f64], acceleration: f64
                 best.take_in(h, offs.into_iter().fold(0.0, f64::max));
             }
         }
-        if let Some((h, _)) = best.first.filter(|b| b.1 < FARTHEST && best.second > CLEAR * b.1.max(1.0)) {
+        let clear = best.first.filter(|b| b.1 < FARTHEST && best.second > CLEAR * b.1.max(1.0));
+        // Where motion is not clear, the forward pass's identity counts.
+        let named = best.first.filter(|b| tracklets[b.0].track == one.track && b.1 < TORN);
+        if let Some((h, _)) = clear.or(named) {
             host[i] = Some(h);
             filled.extend(frames.into_iter().map(|f| (h, f)));
         }
@@ -225,7 +289,7 @@ fn off_the_line(
     let (p, q) = (tracklet.at(before)?, tracklet.at(after)?);
     let (since_s, until_s) = (times_s[frame] - times_s[before], times_s[after] - times_s[frame]);
     let line = p + (q - p) * (since_s / (since_s + until_s));
-    Some((place - line).norm() / (LEAST_SPREAD + 0.5 * acceleration * since_s * until_s))
+    Some((place - line).norm() / (LEAST_SPREAD + tracklet.noise() + 0.5 * acceleration * since_s * until_s))
 }
 
 /// Numbers of wholes, by part, where `host` is what a part belongs to; a host is never a part itself.
@@ -450,4 +514,69 @@ fn changes_of_contact(frame: &Tracked, touching: &mut BTreeMap<(u32, u32), bool>
     }
     changed.extend(over);
     changed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::random::Random;
+    use nalgebra::Matrix3;
+
+    const FRAMES: usize = 600;
+    const NOISE: f64 = 0.003;
+
+    fn sample(track: u32, point: Vector3<f64>, dots: &[u32]) -> Sample {
+        Sample::new(track, (point, Matrix3::identity() * NOISE * NOISE), Kind::Measured, dots, 0.99)
+    }
+
+    /// Where a marker is that swings to and fro.
+    fn swinging(marker: u32, f: usize) -> Vector3<f64> {
+        let t = f as f64 / 100.0;
+        Vector3::new(f64::from(marker), 0.3 * (2.0 * t + f64::from(marker)).sin(), 1.0)
+    }
+
+    fn times_s() -> Vec<f64> {
+        (0..FRAMES).map(|f| f as f64 / 100.0).collect()
+    }
+
+    #[test]
+    fn noise_tears_nothing_out_of_a_trajectory() {
+        let mut random = Random::new(5, 0);
+        let mut frame = |f: usize| {
+            let mut off = |place: Vector3<f64>| place.map(|x| x + NOISE * random.normal());
+            let mut samples: Vec<Sample> = (0..8).map(|m| sample(m, off(swinging(m, f)), &[0, 1])).collect();
+            // Now and then two rays that hardly cross put a marker far off.
+            if f % 20 == 10 {
+                samples[f / 20 % 8].point.x += 15.0 * NOISE;
+            }
+            Tracked { samples, ..Tracked::default() }
+        };
+        let frames: Vec<Tracked> = (0..FRAMES).map(&mut frame).collect();
+        let (tracklets, _) = cut(&frames, &times_s(), TORN);
+        assert_eq!(tracklets.iter().map(|t| t.measured).collect::<Vec<_>>(), [FRAMES; 8]);
+    }
+
+    #[test]
+    fn of_two_that_hand_a_marker_over_the_narrower_loses_the_frame_in_which_both_have_it() {
+        let places = [swinging(0, 0), swinging(0, 0) + Vector3::x() * 0.04];
+        let frame = |f: usize| {
+            let of = |(track, place): (u32, &Vector3<f64>)| {
+                let dots: &[u32] = if track == 0 { &[0, 1] } else { &[2, 3, 4] };
+                (if track == 0 { f <= 50 } else { f >= 50 }).then(|| sample(track, *place, dots))
+            };
+            Tracked { samples: (0..).zip(&places).filter_map(of).collect(), ..Tracked::default() }
+        };
+        let frames: Vec<Tracked> = (0..100).map(frame).collect();
+        let mut tracklets = vec![Tracklet::starting(0), Tracklet::starting(50)];
+        let mut owner = Vec::new();
+        for (f, frame) in frames.iter().enumerate() {
+            frame.samples.iter().for_each(|s| tracklets[s.track as usize].take_in(f, s));
+            owner.push(frame.samples.iter().map(|s| Some(s.track as usize)).collect::<Vec<_>>());
+        }
+        trim_handovers(&mut tracklets, &mut owner, &frames);
+        let spans: Vec<(usize, usize)> = tracklets.iter().map(|t| (t.first, t.last())).collect();
+        assert_eq!(spans, [(0, 49), (50, 99)]);
+        assert_eq!(owner[50], [None, Some(1)], "the sample is nobody's any more");
+        assert_eq!((tracklets[0].measured, tracklets[1].wide), (50, 50));
+    }
 }
