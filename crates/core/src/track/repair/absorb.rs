@@ -1,12 +1,13 @@
 //! A chain too many: three chains of which no more than two are ever seen at once may be two markers.
 //!
 //! Where two near markers come and go, a piece of the one in the other's chain keeps the rest of its own chain out, because
-//! a marker is not in two places; so a third chain arises that overlaps both, which nobody can join (`join.rs`) or exchange (`exchange.rs`).
-//! Here the tracklets of all three fall into blocks that do not overlap in time. If none of them needs a third marker, each can be
-//! handed out to two chains in two ways, and the best of all combinations is found as for an exchange.
+//! a marker is not in two places; so a third chain arises that overlaps both, which nobody can join (`join.rs`) or exchange
+//! (`exchange.rs`). Here the tracklets of all three fall into blocks that do not overlap in time. If none of them needs a
+//! third marker, each can be handed out to two chains in two ways, and the best of all combinations is found as for an
+//! exchange.
 
-use super::exchange::{Block, weigh};
-use super::join::{Chain, Distances, Link, Scene};
+use super::exchange::{Block, dealt, weigh};
+use super::join::{Chain, Distances, Handout, Link, Scene};
 use rayon::prelude::*;
 
 /// Chains that another one is held against, the likeliest first.
@@ -14,26 +15,16 @@ const NEIGHBOURS: usize = 4;
 /// Rounds in which the two chains are learned anew from what they have been given.
 const ROUNDS: usize = 5;
 
-/// Three chains' tracklets handed out to two.
-pub(super) struct Absorbed {
-    pub gain: f64,
-    /// The two that stay, and the one that goes.
-    pub chains: [usize; 3],
-    /// The tracklets of the two, in order of time.
-    pub ones: Vec<usize>,
-    pub others: Vec<usize>,
-}
-
 impl Scene<'_> {
     /// For every chain the best way to hand it out to two longer ones, if any.
-    pub(super) fn absorbed(&self) -> Vec<Absorbed> {
+    pub(super) fn absorbed(&self) -> Vec<Handout> {
         let profiles: Vec<Vec<Link>> = (0..self.chains.len()).into_par_iter().map(|c| self.profile(c)).collect();
         let seen: Vec<Vec<Distances>> =
             (0..self.tracklets.len()).into_par_iter().map(|t| self.distances_of(t)).collect();
         (0..self.chains.len()).into_par_iter().filter_map(|c| self.absorb(c, &profiles, &seen)).collect()
     }
 
-    fn absorb(&self, third: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Absorbed> {
+    fn absorb(&self, third: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Handout> {
         let likely = |c: usize| {
             let own = &self.chains[third].tracklets;
             own.iter().map(|&t| Self::links_beside(&profiles[c], &seen[t], [c, third])).sum::<f64>()
@@ -57,9 +48,9 @@ impl Scene<'_> {
     }
 
     /// The best way to hand out three chains' tracklets to the first two; `None` if it takes three.
-    fn handed_out(&self, chains: [usize; 3], profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Absorbed> {
+    fn handed_out(&self, chains: [usize; 3], profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Handout> {
         let mut blocks = self.in_two(chains)?;
-        let [one, other, third] = chains;
+        let [one, other, _] = chains;
         let apart_m = Self::apart_m(&profiles[one], other);
         let fits = |profile: &[Link], own: &[usize]| -> f64 {
             own.iter().map(|&t| Self::links_beside(profile, &seen[t], [one, other])).sum()
@@ -73,22 +64,14 @@ impl Scene<'_> {
                 + chains.iter().filter_map(|&c| self.path_evidence(&self.chains[c].tracklets)).sum::<f64>();
             weigh(&mut blocks, [&a, &b], [one, other], seen);
             let (evidence, exchanged) = self.likeliest(&blocks, apart_m);
-            let mut own = [Vec::new(), Vec::new()];
-            for (block, &exchanged) in blocks.iter().zip(&exchanged) {
-                own[usize::from(exchanged)].extend(&block.ones);
-                own[usize::from(!exchanged)].extend(&block.others);
-            }
-            two = own.map(|tracklets: Vec<usize>| {
-                let length = tracklets.iter().map(|&t| self.tracklets[t].measured).sum();
-                Chain { tracklets, length }
-            });
+            two = dealt(&blocks, &exchanged).map(|own| Chain::of(self.tracklets, own));
             let stands = before.as_ref() == Some(&exchanged);
             before = Some(exchanged);
             if stands {
                 let possible = two.iter().all(|c| self.path_evidence(&c.tracklets).is_some());
                 let [ones, others] = two.map(|c| c.tracklets);
-                let gain = evidence - as_is;
-                return possible.then_some(Absorbed { gain, chains: [one, other, third], ones, others });
+                let (gain, tracklets) = (evidence - as_is, vec![ones, others, Vec::new()]);
+                return possible.then(|| Handout { gain, chains: chains.to_vec(), tracklets });
             }
         }
         None
@@ -159,7 +142,7 @@ mod tests {
         let chain = |c: usize| {
             let own: Vec<usize> =
                 (0..tracklets.len()).filter(|&t| chain_of(owner[t], tracklets[t].first) == c).collect();
-            Chain { length: own.iter().map(|&t| tracklets[t].measured).sum(), tracklets: own }
+            Chain::of(&tracklets, own)
         };
         let chains: Vec<Chain> = (0..count).map(chain).collect();
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
@@ -170,7 +153,7 @@ mod tests {
             owners.dedup();
             owners
         };
-        found.iter().filter(|a| a.gain > 1.0).map(|a| [owners(&a.ones), owners(&a.others)]).collect()
+        found.iter().filter(|a| a.gain > 1.0).map(|a| [owners(&a.tracklets[0]), owners(&a.tracklets[1])]).collect()
     }
 
     fn always(_: usize) -> bool {

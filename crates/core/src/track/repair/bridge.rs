@@ -35,17 +35,13 @@ impl Scene<'_> {
             }
             total += self.bridge(before, after)?;
         }
-        let led = |t: &usize| self.leaders[*t].filter(|l| sequence.contains(l)).map(|_| self.followed(*t));
+        let led = |&t: &usize| self.leader(t).filter(|(leader, _)| sequence.contains(leader)).map(|l| l.1);
         Some(total + sequence.iter().filter_map(led).sum::<f64>())
     }
 
     /// The tracklet from whose end the forward pass came to another one, and the evidence that they are one marker (nats).
     pub(super) fn leader(&self, tracklet: usize) -> Option<(usize, f64)> {
-        self.leaders[tracklet].map(|l| (l, self.followed(tracklet)))
-    }
-
-    fn followed(&self, tracklet: usize) -> f64 {
-        FOLLOWED * self.tracklets[tracklet].followed
+        self.leaders[tracklet].map(|l| (l, FOLLOWED * self.tracklets[tracklet].followed))
     }
 
     /// Evidence of motion that two chains are one: along both together, beyond that along each. `None` if they overlap

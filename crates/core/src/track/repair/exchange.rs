@@ -5,7 +5,7 @@
 //! all combinations is found by dynamic programming (Viterbi 1967): how well the distances of each tracklet fit the
 //! profile of the chain it comes to, and how well motion leads from block to block.
 
-use super::join::{Distances, Link, Scene};
+use super::join::{Distances, Handout, Link, Scene};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -13,16 +13,6 @@ use std::collections::BTreeMap;
 pub(super) const IMPOSSIBLE: f64 = -30.0;
 /// Evidence that an exchange by the sides of the others needs (nats).
 const WORTH_TURNING: f64 = 5.0;
-
-/// A better distribution of two chains' tracklets.
-pub(super) struct Swap {
-    pub gain: f64,
-    pub one: usize,
-    pub other: usize,
-    /// Tracklets of the two chains after the exchange, in order of time.
-    pub ones: Vec<usize>,
-    pub others: Vec<usize>,
-}
 
 /// Tracklets of two chains that overlap in time, directly or by others.
 #[derive(Default)]
@@ -55,7 +45,7 @@ struct Way {
 
 impl Scene<'_> {
     /// For every two chains the best exchange, if any.
-    pub(super) fn swaps(&self) -> Vec<Swap> {
+    pub(super) fn exchanges(&self) -> Vec<Handout> {
         let profiles: Vec<Vec<Link>> = (0..self.chains.len()).into_par_iter().map(|c| self.profile(c)).collect();
         let seen: Vec<Vec<Distances>> =
             (0..self.tracklets.len()).into_par_iter().map(|t| self.distances_of(t)).collect();
@@ -68,7 +58,7 @@ impl Scene<'_> {
             .collect()
     }
 
-    fn swap(&self, one: usize, other: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Swap> {
+    fn swap(&self, one: usize, other: usize, profiles: &[Vec<Link>], seen: &[Vec<Distances>]) -> Option<Handout> {
         let mut blocks = self.blocks(one, other);
         let (turned, stays) = self.turned([one, other], &blocks).map_or((None, Vec::new()), |t| (t.chains, t.stays));
         let enough = if turned.is_some() { WORTH_TURNING } else { 0.0 };
@@ -83,13 +73,7 @@ impl Scene<'_> {
         }
         let apart_m = Self::apart_m(&profiles[one], other);
         let (gain, exchanged) = self.best_of(&blocks, apart_m).filter(|(gain, _)| *gain > enough)?;
-        let (mut ones, mut others) = (Vec::new(), Vec::new());
-        for (block, exchanged) in blocks.into_iter().zip(&exchanged) {
-            let (a, b) = if *exchanged { (block.others, block.ones) } else { (block.ones, block.others) };
-            ones.extend(a);
-            others.extend(b);
-        }
-        Some(Swap { gain, one, other, ones, others })
+        Some(Handout { gain, chains: vec![one, other], tracklets: dealt(&blocks, &exchanged).into() })
     }
 
     /// The best way to hand out the blocks of two chains, so far apart if they stay near each other (m), and what it gains;
@@ -173,6 +157,16 @@ impl Scene<'_> {
         }
         next
     }
+}
+
+/// The tracklets of two chains when some of their blocks are exchanged.
+pub(super) fn dealt(blocks: &[Block], exchanged: &[bool]) -> [Vec<usize>; 2] {
+    let mut own = [Vec::new(), Vec::new()];
+    for (block, &exchanged) in blocks.iter().zip(exchanged) {
+        own[usize::from(exchanged)].extend(&block.ones);
+        own[usize::from(!exchanged)].extend(&block.others);
+    }
+    own
 }
 
 /// What the distances say of blocks, as they are and exchanged.

@@ -11,6 +11,7 @@ use super::joints::{Path, joint_centers};
 use super::tracklets::Tracklet;
 use crate::assignment::assign;
 use nalgebra::Vector3;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 
 /// Evidence needed to join (nats): the sure cases first, so that the unsure ones have more to go by. In the end little
@@ -68,6 +69,21 @@ pub struct Chain {
     pub length: usize,
 }
 
+impl Chain {
+    /// A chain of tracklets in order of time.
+    pub(super) fn of(all: &[Tracklet], tracklets: Vec<usize>) -> Self {
+        Self { length: tracklets.iter().map(|&t| all[t].measured).sum(), tracklets }
+    }
+}
+
+/// A better distribution of some chains' tracklets.
+pub(super) struct Handout {
+    pub gain: f64,
+    pub chains: Vec<usize>,
+    /// Tracklets of each of the chains, in order of time; a chain without any goes.
+    pub tracklets: Vec<Vec<usize>>,
+}
+
 /// A witness: another chain, and the distance to it.
 pub(super) struct Link {
     pub(super) other: usize,
@@ -114,7 +130,7 @@ impl Link {
 /// Joins tracklets into chains. Flickers come last, and those that nothing speaks for are left out. `told`: how much is done
 /// (0–1), every now and then.
 pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
-    let single = |i: usize| Chain { tracklets: vec![i], length: tracklets[i].measured };
+    let single = |i: usize| Chain::of(tracklets, vec![i]);
     let all = 0..tracklets.len();
     let mut chains: Vec<Chain> = all.clone().filter(|&i| !tracklets[i].is_flicker()).map(single).collect();
     for (round, enough) in ENOUGH.into_iter().enumerate() {
@@ -122,10 +138,17 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
+    // Where chains are absorbed, exchanging begins again; what was told before is not taken back.
+    let most = Cell::new(0.0);
+    let told = |part: f64| {
+        most.set(part.max(most.get()));
+        told(most.get());
+    };
     loop {
-        hand_out(tracklets, times_s, &mut chains, told);
+        hand_out(tracklets, times_s, &mut chains, &told);
         let joints = joints_of(tracklets, &chains, times_s.len());
-        if !absorb(tracklets, times_s, &mut chains, &joints) {
+        let found = Scene::new(tracklets, times_s, &chains, &joints).absorbed();
+        if !hand_over(tracklets, &mut chains, found) {
             break;
         }
     }
@@ -143,46 +166,24 @@ fn hand_out(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, to
     for round in 0..EXCHANGES {
         told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
         let joints = joints_of(tracklets, chains, times_s.len());
-        if !exchange(tracklets, times_s, chains, &joints) {
+        let found = Scene::new(tracklets, times_s, chains, &joints).exchanges();
+        if !hand_over(tracklets, chains, found) {
             break;
         }
     }
     for round in 0..RELABELLINGS {
         told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
         let joints = joints_of(tracklets, chains, times_s.len());
-        if !relabel(tracklets, times_s, chains, &joints) {
+        let found = Scene::new(tracklets, times_s, chains, &joints).relabellings();
+        if !hand_over(tracklets, chains, found) {
             break;
         }
     }
 }
 
-/// Every two chains are held against each other's profiles (`exchange.rs`); those exchanges that gain the most are made.
-/// Whether anything changed.
-fn exchange(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    let mut swaps = Scene::new(tracklets, times_s, chains, joints).swaps();
-    swaps.retain(|s| s.gain > WORTH_EXCHANGING);
-    swaps.sort_by(|a, b| b.gain.total_cmp(&a.gain).then((a.one, a.other).cmp(&(b.one, b.other))));
-    let mut touched = vec![false; chains.len()];
-    let mut changed = false;
-    for swap in swaps {
-        if touched[swap.one] || touched[swap.other] {
-            continue;
-        }
-        (touched[swap.one], touched[swap.other], changed) = (true, true, true);
-        for (c, own) in [(swap.one, swap.ones), (swap.other, swap.others)] {
-            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
-            chains[c].tracklets = own;
-        }
-    }
-    chains.retain(|c| !c.tracklets.is_empty());
-    changed
-}
-
-/// Every chain and its nearest ones hand out their tracklets anew (`relabel.rs`); those that gain the most do so. Whether
-/// anything changed.
-fn relabel(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    let mut found = Scene::new(tracklets, times_s, chains, joints).relabellings();
-    found.retain(|r| r.gain > WORTH_EXCHANGING);
+/// Hands out tracklets anew where that is worth it, what gains the most first, each chain once. Whether anything changed.
+fn hand_over(tracklets: &[Tracklet], chains: &mut Vec<Chain>, mut found: Vec<Handout>) -> bool {
+    found.retain(|h| h.gain > WORTH_EXCHANGING);
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.chains.cmp(&b.chains)));
     let mut touched = vec![false; chains.len()];
     let mut changed = false;
@@ -190,32 +191,9 @@ fn relabel(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joi
         if one.chains.iter().any(|&c| touched[c]) {
             continue;
         }
-        for (&c, own) in one.chains.iter().zip(one.tracklets) {
+        for (c, own) in one.chains.into_iter().zip(one.tracklets) {
             (touched[c], changed) = (true, true);
-            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
-            chains[c].tracklets = own;
-        }
-    }
-    chains.retain(|c| !c.tracklets.is_empty());
-    changed
-}
-
-/// Chains that are one too many are handed out to two others (`absorb.rs`); those that gain the most first. Whether anything
-/// changed.
-fn absorb(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, joints: &[Path]) -> bool {
-    let mut found = Scene::new(tracklets, times_s, chains, joints).absorbed();
-    found.retain(|a| a.gain > WORTH_EXCHANGING);
-    found.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.chains.cmp(&b.chains)));
-    let mut touched = vec![false; chains.len()];
-    let mut changed = false;
-    for one in found {
-        if one.chains.iter().any(|&c| touched[c]) {
-            continue;
-        }
-        for (c, own) in one.chains.into_iter().zip([one.ones, one.others, Vec::new()]) {
-            (touched[c], changed) = (true, true);
-            chains[c].length = own.iter().map(|&x| tracklets[x].measured).sum();
-            chains[c].tracklets = own;
+            chains[c] = Chain::of(tracklets, own);
         }
     }
     chains.retain(|c| !c.tracklets.is_empty());
@@ -509,14 +487,18 @@ mod tests {
         let mut chains: Vec<Chain> = (0..9)
             .map(|track| {
                 let own: Vec<usize> = (0..tracklets.len()).filter(|&t| named(t) == track).collect();
-                Chain { length: own.iter().map(|&t| tracklets[t].measured).sum(), tracklets: own }
+                Chain::of(&tracklets, own)
             })
             .collect();
-        assert!(relabel(&tracklets, &times_s, &mut chains, &[]), "something must be exchanged");
+        let relabel = |chains: &mut Vec<Chain>| {
+            let found = Scene::new(&tracklets, &times_s, chains, &[]).relabellings();
+            hand_over(&tracklets, chains, found)
+        };
+        assert!(relabel(&mut chains), "something must be exchanged");
         for chain in &chains {
             let tracks: Vec<u32> = chain.tracklets.iter().map(|&t| tracklets[t].track).collect();
             assert!(tracks.windows(2).all(|w| w[0] == w[1]), "{tracks:?}");
         }
-        assert!(!relabel(&tracklets, &times_s, &mut chains, &[]), "what is right stays");
+        assert!(!relabel(&mut chains), "what is right stays");
     }
 }

@@ -8,7 +8,7 @@
 //! (dynamic programming), and of those the best few (a beam).
 
 use super::exchange::IMPOSSIBLE;
-use super::join::{Distances, Link, Scene};
+use super::join::{Distances, Handout, Link, Scene};
 use super::tracklets::Tracklet;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -23,14 +23,6 @@ const BEAM: usize = 64;
 const ONE_MORE: f64 = -4.0;
 /// A tracklet counts once, and once more for each second, up to so many times.
 const MOST_LOOKS: f64 = 5.0;
-
-/// A better distribution of some chains' tracklets.
-pub(super) struct Relabelling {
-    pub gain: f64,
-    pub chains: Vec<usize>,
-    /// Tracklets of each of the chains, in order of time.
-    pub tracklets: Vec<Vec<usize>>,
-}
 
 /// What all groups of chains have in common.
 struct Known {
@@ -78,7 +70,7 @@ struct Group<'a> {
 
 impl Scene<'_> {
     /// For every chain and its nearest ones the best distribution of their tracklets, if it is better.
-    pub(super) fn relabellings(&self) -> Vec<Relabelling> {
+    pub(super) fn relabellings(&self) -> Vec<Handout> {
         let known = Known {
             links: (0..self.chains.len()).into_par_iter().map(|c| self.asked(c)).collect(),
             seen: (0..self.tracklets.len()).into_par_iter().map(|t| self.seen_from(t)).collect(),
@@ -182,7 +174,7 @@ impl<'a> Group<'a> {
     }
 
     /// The best way to hand out the tracklets, if it is not the present one.
-    fn better(&self) -> Option<Relabelling> {
+    fn better(&self) -> Option<Handout> {
         let n = self.chains.len();
         if self.tracklets.len() < 2 || n < 2 {
             return None;
@@ -221,7 +213,7 @@ impl<'a> Group<'a> {
             at = before;
         }
         tracklets.iter_mut().for_each(|own| own.reverse());
-        Some(Relabelling { gain: best.evidence - as_is.evidence, chains: self.chains.clone(), tracklets })
+        Some(Handout { gain: best.evidence - as_is.evidence, chains: self.chains.clone(), tracklets })
     }
 
     /// A way with one more tracklet given to a chain; `None` where that has another at the time. `chain_of`: the chains of

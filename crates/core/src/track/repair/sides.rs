@@ -86,10 +86,7 @@ impl Scene<'_> {
             let parts = if evidence < 0.0 { [&block.others, &block.ones] } else { [&block.ones, &block.others] };
             turned.iter_mut().zip(parts).for_each(|(own, part)| own.extend(part));
         }
-        turned.map(|tracklets: Vec<usize>| {
-            let length = tracklets.iter().map(|&t| self.tracklets[t].measured).sum();
-            Chain { tracklets, length }
-        })
+        turned.map(|own| Chain::of(self.tracklets, own))
     }
 
     /// Some of the frames of a block in which both are seen.
@@ -288,17 +285,18 @@ mod tests {
         let chains: Vec<Chain> = (0..paths.len())
             .map(|c| {
                 let own: Vec<usize> = (0..tracklets.len()).filter(|&t| chain_of(t) == c).collect();
-                Chain { length: own.iter().map(|&t| tracklets[t].measured).sum(), tracklets: own }
+                Chain::of(&tracklets, own)
             })
             .collect();
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
         let scene = Scene::new(&tracklets, &times_s, &chains, &[]);
-        let swap = scene.swaps().into_iter().find(|s| [s.one, s.other] == [4, 5]).expect("they are exchanged");
-        for own in [&swap.ones, &swap.others] {
+        let found = scene.exchanges();
+        let exchange = found.iter().find(|h| h.chains == [4, 5]).expect("they are exchanged");
+        for own in &exchange.tracklets {
             let owners: Vec<usize> = own.iter().map(|&t| owner[t]).collect();
             assert!(owners.windows(2).all(|w| w[0] == w[1]), "{owners:?}");
         }
         // Nobody else is exchanged.
-        assert!(scene.swaps().iter().all(|s| [s.one, s.other] == [4, 5]));
+        assert!(found.iter().all(|h| h.chains == [4, 5]));
     }
 }
