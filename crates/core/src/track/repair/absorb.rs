@@ -3,11 +3,12 @@
 //! Where two near markers come and go, a piece of the one in the other's chain keeps the rest of its own chain out, because
 //! a marker is not in two places; so a third chain arises that overlaps both, which nobody can join (`join.rs`) or exchange
 //! (`exchange.rs`). Here the tracklets of all three fall into blocks that do not overlap in time. If none of them needs a
-//! third marker, each can be handed out to two chains in two ways, and the best of all combinations is found as for an
-//! exchange.
+//! third marker (for more than a moment, in which rays met by chance), each can be handed out to two chains in two ways, and
+//! the best of all combinations is found as for an exchange.
 
 use super::exchange::{Block, dealt, weigh};
 use super::join::{Chain, Distances, Handout, Link, Scene};
+use super::tracklets::SURE_GAP_S;
 use rayon::prelude::*;
 
 /// Chains that another one is held against, the likeliest first.
@@ -55,36 +56,38 @@ impl Scene<'_> {
         let fits = |profile: &[Link], own: &[usize]| -> f64 {
             own.iter().map(|&t| Self::links_beside(profile, &seen[t], [one, other])).sum()
         };
+        let motion: f64 = chains.iter().filter_map(|&c| self.path_evidence(&self.chains[c].tracklets)).sum();
         let mut two = [one, other].map(|c| self.chains[c].clone());
-        let mut before = None;
+        let mut gain = 0.0;
+        let mut before = Vec::new();
+        // Where the two's histories are mixed, it may go to and fro between ways that are as good as each other.
         for _ in 0..ROUNDS {
             let [a, b] = [0, 1].map(|i| self.profile_of(&two[i], &chains));
-            let as_is = fits(&a, &self.chains[one].tracklets)
-                + fits(&b, &self.chains[other].tracklets)
-                + chains.iter().filter_map(|&c| self.path_evidence(&self.chains[c].tracklets)).sum::<f64>();
+            let as_is = motion + fits(&a, &self.chains[one].tracklets) + fits(&b, &self.chains[other].tracklets);
             weigh(&mut blocks, [&a, &b], [one, other], seen);
             let (evidence, exchanged) = self.likeliest(&blocks, apart_m);
+            gain = evidence - as_is;
             two = dealt(&blocks, &exchanged).map(|own| Chain::of(self.tracklets, own));
-            let stands = before.as_ref() == Some(&exchanged);
-            before = Some(exchanged);
-            if stands {
-                let possible = two.iter().all(|c| self.path_evidence(&c.tracklets).is_some());
-                let [ones, others] = two.map(|c| c.tracklets);
-                let (gain, tracklets) = (evidence - as_is, vec![ones, others, Vec::new()]);
-                return possible.then(|| Handout { gain, chains: chains.to_vec(), tracklets });
+            if before == exchanged {
+                break;
             }
+            before = exchanged;
         }
-        None
+        let possible = two.iter().all(|c| self.path_evidence(&c.tracklets).is_some());
+        let [ones, others] = two.map(|c| c.tracklets);
+        possible.then(|| Handout { gain, chains: chains.to_vec(), tracklets: vec![ones, others, Vec::new()] })
     }
 
-    /// Three chains' tracklets in blocks that overlap in time, each in two parts that do not; `None` if that cannot be.
+    /// Three chains' tracklets in blocks that overlap in time, each in two parts that do not; `None` if that cannot be. What is
+    /// one too many for a moment is left out.
     fn in_two(&self, chains: [usize; 3]) -> Option<Vec<Block>> {
         let mut all: Vec<usize> = chains.iter().flat_map(|&c| &self.chains[c].tracklets).copied().collect();
         all.sort_unstable_by_key(|&t| (self.tracklets[t].first, t));
+        let left = self.one_too_many(&all);
         let mut blocks: Vec<Block> = Vec::new();
         // The last frame of each part of the newest.
         let mut ends: [Option<usize>; 2] = [None; 2];
-        for t in all {
+        for t in all.into_iter().filter(|t| !left.contains(t)) {
             let (first, last) = (self.tracklets[t].first, self.tracklets[t].last());
             let is_free = |end: Option<usize>| end.is_none_or(|end| end < first);
             if ends.iter().all(|&end| is_free(end)) {
@@ -103,6 +106,21 @@ impl Scene<'_> {
         }
         self.follow(&mut blocks);
         Some(blocks)
+    }
+
+    /// Tracklets of a moment in which two others are seen.
+    fn one_too_many(&self, all: &[usize]) -> Vec<usize> {
+        let mut left: Vec<usize> = Vec::new();
+        let frames = |t: usize| self.tracklets[t].first..=self.tracklets[t].last();
+        let seconds = |t: usize| self.times_s[*frames(t).end()] - self.times_s[*frames(t).start()];
+        for &t in all.iter().filter(|&&t| seconds(t) <= SURE_GAP_S) {
+            let others =
+                |f: usize| all.iter().filter(|&&u| u != t && frames(u).contains(&f) && !left.contains(&u)).count();
+            if frames(t).any(|f| others(f) > 1) {
+                left.push(t);
+            }
+        }
+        left
     }
 }
 
@@ -180,6 +198,26 @@ mod tests {
         markers.extend([([0.1, 0.1, 0.1], early as fn(usize) -> bool), ([0.13, 0.12, 0.12], late)]);
         // In one place the first of the near ones has a piece of the other, in another the other of the first; what they lost
         // by that is a third chain.
+        let chain_of = |marker: usize, first: usize| match (marker, first / 100) {
+            (4, 3) | (5, 7) => 6,
+            (5, 3) => 4,
+            (4, 7) => 5,
+            (m, _) => m,
+        };
+        let mut found = absorbed(&markers, chain_of);
+        found.iter_mut().for_each(|two| two.sort());
+        assert_eq!(found, [[vec![4], vec![5]]]);
+    }
+
+    #[test]
+    fn what_is_one_too_many_for_a_moment_keeps_nothing_apart() {
+        let mut markers: Vec<Seen> = TRUNK.map(|p| (p, always as fn(usize) -> bool)).to_vec();
+        let a_moment = |f: usize| f == 445 || f == 446;
+        markers.extend([
+            ([0.1, 0.1, 0.1], early as fn(usize) -> bool),
+            ([0.13, 0.12, 0.12], late),
+            ([0.11, 0.1, 0.12], a_moment),
+        ]);
         let chain_of = |marker: usize, first: usize| match (marker, first / 100) {
             (4, 3) | (5, 7) => 6,
             (5, 3) => 4,

@@ -34,7 +34,7 @@ const ONE_PER_S: f64 = 20.0;
 /// so much at most.
 const CHANGE: f64 = 3.0;
 const MOTION: f64 = 0.004;
-const MOST_OF_MOTION: f64 = 12.0;
+const MOST_OF_MOTION: f64 = 60.0;
 /// Evidence that changes need in all (nats), and rounds.
 const WORTH_CHANGING: f64 = 5.0;
 const ROUNDS: usize = 3;

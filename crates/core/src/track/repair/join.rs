@@ -8,7 +8,7 @@
 
 use super::bridge::leaders;
 use super::joints::{Path, joint_centers};
-use super::tracklets::Tracklet;
+use super::tracklets::{FLICKER, Tracklet};
 use crate::assignment::assign;
 use nalgebra::Vector3;
 use std::cell::Cell;
@@ -157,25 +157,37 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
-    chains.retain(|c| c.tracklets.iter().any(|&t| !tracklets[t].is_flicker()));
+    chains.retain(|c| c.length > FLICKER && c.tracklets.iter().any(|&t| !tracklets[t].is_flicker()));
     chains
 }
 
-/// Two chains at a time, then whole limbs, hand out their tracklets anew until nothing is gained any more.
+/// Two chains at a time, then whole limbs, hand out their tracklets anew until nothing is gained any more; and two at a time
+/// once more, because what lies on whose side is only asked there.
 fn hand_out(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, told: &dyn Fn(f64)) {
-    for round in 0..EXCHANGES {
-        told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
+    let exchanged = |chains: &mut Vec<Chain>| {
         let joints = joints_of(tracklets, chains, times_s.len());
         let found = Scene::new(tracklets, times_s, chains, &joints).exchanges();
-        if !hand_over(tracklets, chains, found) {
+        hand_over(tracklets, chains, found)
+    };
+    let relabelled = |chains: &mut Vec<Chain>| {
+        let joints = joints_of(tracklets, chains, times_s.len());
+        let found = Scene::new(tracklets, times_s, chains, &joints).relabellings();
+        hand_over(tracklets, chains, found)
+    };
+    for round in 0..EXCHANGES {
+        told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
+        if !exchanged(chains) {
             break;
         }
     }
     for round in 0..RELABELLINGS {
         told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
-        let joints = joints_of(tracklets, chains, times_s.len());
-        let found = Scene::new(tracklets, times_s, chains, &joints).relabellings();
-        if !hand_over(tracklets, chains, found) {
+        if !relabelled(chains) {
+            break;
+        }
+    }
+    for _ in 0..EXCHANGES {
+        if !exchanged(chains) {
             break;
         }
     }
@@ -290,6 +302,20 @@ fn by_frame_with(
     found
 }
 
+/// Places of tracklets of one marker in some of their frames.
+pub(super) fn samples(own: &[&Tracklet], most: usize) -> Vec<(usize, Vector3<f64>)> {
+    let share = |t: &Tracklet| (most * t.measured).div_ceil((measured(own) as usize).max(1)).max(1);
+    let of = |t: &&Tracklet| -> Vec<(usize, Vector3<f64>)> {
+        t.frames(share(t)).into_iter().filter_map(|f| t.at(f).map(|p| (f, p))).collect()
+    };
+    own.iter().flat_map(of).collect()
+}
+
+/// Measured frames of tracklets of one marker.
+fn measured(own: &[&Tracklet]) -> f64 {
+    own.iter().map(|t| t.measured).sum::<usize>() as f64
+}
+
 /// Distances to other chains in one frame, by ascending chain.
 pub(super) type Distances = Vec<(usize, f64)>;
 
@@ -340,15 +366,9 @@ impl Scene<'_> {
         if n < 2 { 0.01 } else { (self.times_s[n - 1] - self.times_s[0]) / (n - 1) as f64 }
     }
 
-    /// Positions of a chain in some of its frames.
-    pub(super) fn samples(&self, own: &Chain, most: usize) -> Vec<(usize, Vector3<f64>)> {
-        let mut found = Vec::new();
-        for &t in &own.tracklets {
-            let share = (most * self.tracklets[t].measured).div_ceil(own.length.max(1)).max(1);
-            let frames = self.tracklets[t].frames(share);
-            found.extend(frames.into_iter().filter_map(|f| self.tracklets[t].at(f).map(|p| (f, p))));
-        }
-        found
+    /// What a chain is made of.
+    pub(super) fn made_of(&self, own: &Chain) -> Vec<&Tracklet> {
+        own.tracklets.iter().map(|&t| &self.tracklets[t]).collect()
     }
 
     /// How far apart two chains are (m) if they are markers that stay near each other, by the profile of the one.
@@ -363,8 +383,13 @@ impl Scene<'_> {
 
     /// The same for any chain, to others than these.
     pub(super) fn profile_of(&self, own: &Chain, but: &[usize]) -> Vec<Link> {
+        self.profile_by(&self.made_of(own), but)
+    }
+
+    /// The same for any tracklets of one marker.
+    pub(super) fn profile_by(&self, own: &[&Tracklet], but: &[usize]) -> Vec<Link> {
         let mut sums: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
-        for (frame, place) in self.samples(own, PROFILE_FRAMES) {
+        for (frame, place) in samples(own, PROFILE_FRAMES) {
             for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| !but.contains(o)) {
                 let d = (p - place).norm();
                 let s = sums.entry(*other).or_insert([0.0; 3]);
@@ -375,10 +400,10 @@ impl Scene<'_> {
                 s[2] += off * (d - s[1]);
             }
         }
-        let noise_of =
-            |c: &Chain| c.tracklets.iter().map(|&t| self.tracklets[t].variance).sum::<f64>() / c.length as f64;
-        let noise = |c: usize| if c >= JOINTS { RIGID * RIGID } else { noise_of(&self.chains[c]) };
-        let looked_s = |n: f64| n / PROFILE_FRAMES as f64 * own.length as f64 * self.frame_s();
+        let length = measured(own);
+        let noise_of = |own: &[&Tracklet]| own.iter().map(|t| t.variance).sum::<f64>() / measured(own);
+        let noise = |c: usize| if c >= JOINTS { RIGID * RIGID } else { noise_of(&self.made_of(&self.chains[c])) };
+        let looked_s = |n: f64| n / PROFILE_FRAMES as f64 * length * self.frame_s();
         let own_noise = noise_of(own);
         let link = |(other, [n, mean, squares]): (usize, [f64; 3])| {
             let noise = own_noise + noise(other);
@@ -398,24 +423,24 @@ impl Scene<'_> {
 
     /// Distances of a chain to all others in some of its frames.
     fn distances(&self, chain: usize) -> Vec<Distances> {
-        let to_all = |(frame, place): (usize, Vector3<f64>)| {
-            self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect()
-        };
-        self.samples(&self.chains[chain], FRAMES).into_iter().map(to_all).collect()
+        self.distances_by(&self.made_of(&self.chains[chain]))
     }
 
     /// Distances of one tracklet to all chains.
     pub(super) fn distances_of(&self, tracklet: usize) -> Vec<Distances> {
-        let one = &self.tracklets[tracklet];
-        let to_all = |frame: usize| {
-            let place = one.at(frame)?;
-            Some(self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect())
+        self.distances_by(&[&self.tracklets[tracklet]])
+    }
+
+    /// The same for any tracklets of one marker.
+    pub(super) fn distances_by(&self, own: &[&Tracklet]) -> Vec<Distances> {
+        let to_all = |(frame, place): (usize, Vector3<f64>)| {
+            self.by_frame[frame].iter().map(|(other, p)| (*other, (p - place).norm())).collect()
         };
-        one.frames(FRAMES).into_iter().filter_map(to_all).collect()
+        samples(own, FRAMES).into_iter().map(to_all).collect()
     }
 
     /// Evidence of the distances: those of one chain under the profile of another.
-    fn links(profile: &[Link], samples: &[Distances]) -> f64 {
+    pub(super) fn links(profile: &[Link], samples: &[Distances]) -> f64 {
         Self::links_beside(profile, samples, [usize::MAX; 2])
     }
 

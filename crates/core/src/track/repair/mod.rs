@@ -1,7 +1,8 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
-//! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong; pieces that follow
-//!    another one's marker go (`twins`).
+//! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong, by where motion leads
+//!    (`ahead`, `ends`) and where links break (`breaks`, once more when there are chains); pieces that follow another one's
+//!    marker go or become one with it (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two chains at
 //!    a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their pieces anew,
 //!    and three of which only two are ever seen at once become two (`absorb`).
@@ -14,10 +15,13 @@
 //!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`).
 
 mod absorb;
+mod ahead;
+mod breaks;
 mod bridge;
 pub mod carry;
 mod close;
 mod confusion;
+mod ends;
 mod exchange;
 pub mod extend;
 pub mod join;
@@ -31,6 +35,7 @@ mod twins;
 
 use super::{Kind, Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
+use breaks::{cut_at_breaks, singles};
 use carry::carry;
 use close::measure_close;
 use confusion::untangle;
@@ -101,7 +106,15 @@ fn identify(
     if let Some(shots) = shots {
         (tracklets, owner) = without_twins(tracklets, owner, frames, shots);
     }
-    let chains = join(&tracklets, times_s, told);
+    let mut cut = (tracklets, owner);
+    cut = cut_at_breaks(&cut, &singles(&cut.0), frames, times_s).unwrap_or(cut);
+    let mut chains = join(&cut.0, times_s, &|part| told(0.5 * part));
+    // Those that are joined tell more.
+    if let Some(anew) = cut_at_breaks(&cut, &chains, frames, times_s) {
+        cut = anew;
+        chains = join(&cut.0, times_s, &|part| told(0.5 + 0.5 * part));
+    }
+    let (tracklets, owner) = cut;
     let identity = identities(&tracklets, &chains);
     let renamed = |(frame, owner): (&Tracked, &Vec<Option<usize>>)| {
         let named = |(sample, tracklet): (&Sample, &Option<usize>)| {

@@ -8,7 +8,7 @@
 //! (dynamic programming), and of those the best few (a beam).
 
 use super::exchange::IMPOSSIBLE;
-use super::join::{Distances, Handout, Link, Scene};
+use super::join::{Distances, Handout, Link, Scene, samples};
 use super::tracklets::Tracklet;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -96,7 +96,7 @@ impl Scene<'_> {
         let n = self.chains.len();
         let near = |c: usize| {
             let mut sums: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
-            for (frame, place) in self.samples(&self.chains[c], super::join::FRAMES) {
+            for (frame, place) in samples(&self.made_of(&self.chains[c]), super::join::FRAMES) {
                 for (other, p) in self.by_frame[frame].iter().filter(|(o, _)| *o < n && *o != c) {
                     let sum = sums.entry(*other).or_default();
                     *sum = [sum[0] + (p - place).norm(), sum[1] + 1.0];

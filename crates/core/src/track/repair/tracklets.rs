@@ -4,26 +4,18 @@
 //! that they may have been exchanged, and where the forward pass gave one marker's points to another. What belongs
 //! together is decided anew, with the whole take in view (`join.rs`).
 
+use super::ahead::{Ahead, CLEAR, FARTHEST, LEAST_SPREAD, Nearest, RUN_UP, clear_pairs, continuations};
+use super::ends::{set_ends_apart, trim_handovers};
 use crate::track::{Kind, Sample, Tracked};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
 /// Hidden for longer (s), or for more frames than two, a marker may come back as another one.
-const SURE_GAP_S: f64 = 0.025;
+pub(super) const SURE_GAP_S: f64 = 0.025;
 /// Two markers come into contact when nearer than this, and part when farther than that (m).
 const CONTACT: f64 = 0.008;
 const PARTED: f64 = 0.020;
 
-/// Frames before the last from which a tracklet's velocity is taken.
-const RUN_UP: usize = 2;
-/// A place is off its prediction by the usual acceleration at least so much (m), and without a velocity by this speed (m/s).
-const LEAST_SPREAD: f64 = 0.002;
-const UNKNOWN_SPEED: f64 = 3.0;
-/// Motion leads to a sample up to this many spreads away, and clearly so if the next is this many times as far.
-const FARTHEST: f64 = 1.5;
-const CLEAR: f64 = 3.0;
-/// An uncertain motion (m) does not lead to what the forward pass took for another marker.
-const SURE_SPREAD: f64 = 0.012;
 /// Farther away, the forward pass's identity does not count either (spreads).
 pub const TORN: f64 = 3.0;
 /// The same for points of other systems, which jump now and then.
@@ -31,10 +23,8 @@ pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
-/// Two tracklets so near to each other (in their usual errors) may be two halves of one marker's rays.
-const BESIDE: f64 = 10.0;
 /// Measured frames up to which a stretch may be a chance meeting of rays.
-const FLICKER: usize = 2;
+pub(super) const FLICKER: usize = 2;
 
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
@@ -58,7 +48,7 @@ pub struct Tracklet {
 }
 
 impl Tracklet {
-    fn starting(first: usize) -> Self {
+    pub(super) fn starting(first: usize) -> Self {
         Self { track: 0, first_track: 0, followed: 0.0, first, places: Vec::new(), wide: 0, measured: 0, variance: 0.0 }
     }
 
@@ -68,7 +58,15 @@ impl Tracklet {
         Self { places, wide: measured, measured, variance: 1e-8 * measured as f64, ..Self::starting(first) }
     }
 
-    fn together(parts: &[&Self]) -> Self {
+    /// Its part in a range of frames.
+    pub(super) fn within(&self, frames: std::ops::Range<usize>) -> Self {
+        let places: Vec<Option<Vector3<f64>>> = frames.clone().map(|f| self.at(f)).collect();
+        let measured = places.iter().flatten().count();
+        Self { places, measured, variance: self.variance_m2() * measured as f64, ..Self::starting(frames.start) }
+    }
+
+    /// What the parts of one make.
+    pub(super) fn together(parts: &[&Self]) -> Self {
         let first = parts.iter().map(|p| p.first).min().unwrap_or(0);
         let last = parts.iter().map(|p| p.last()).max().unwrap_or(0);
         let newest = parts.iter().max_by_key(|p| p.last()).map_or(0, |p| p.track);
@@ -87,7 +85,7 @@ impl Tracklet {
         whole
     }
 
-    fn take_in(&mut self, index: usize, sample: &Sample) {
+    pub(super) fn take_in(&mut self, index: usize, sample: &Sample) {
         self.track = sample.track;
         self.places.resize(index - self.first, None);
         self.places.push(Some(sample.point));
@@ -96,8 +94,8 @@ impl Tracklet {
         self.variance += sample.covariance.trace() / 3.0;
     }
 
-    /// Loses a sample at one of its ends.
-    fn give_up(&mut self, index: usize, sample: &Sample) {
+    /// Loses a sample.
+    pub(super) fn give_up(&mut self, index: usize, sample: &Sample) {
         self.places[index - self.first] = None;
         self.wide -= usize::from(sample.dots.len() >= 3);
         self.measured -= 1;
@@ -112,7 +110,8 @@ impl Tracklet {
 
     /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
     pub fn is_flicker(&self) -> bool {
-        self.measured <= FLICKER && self.wide < self.measured
+        let narrow = self.measured - self.wide;
+        narrow > 0 && self.measured <= if self.wide == 0 { 3 * FLICKER } else { FLICKER }
     }
 
     /// Index of the last frame.
@@ -126,13 +125,20 @@ impl Tracklet {
     }
 
     /// Usual error of a place (m).
-    fn noise(&self) -> f64 {
+    pub(super) fn noise(&self) -> f64 {
         (3.0 * self.variance_m2()).sqrt()
     }
 
     /// Position in a frame.
     pub fn at(&self, frame: usize) -> Option<Vector3<f64>> {
         frame.checked_sub(self.first).and_then(|i| self.places.get(i)).copied().flatten()
+    }
+
+    /// Number of frames in which it and another one are measured.
+    pub(super) fn frames_shared(&self, other: &Self) -> usize {
+        let frames =
+            self.first.max(other.first)..(self.first + self.places.len()).min(other.first + other.places.len());
+        frames.filter(|&f| self.at(f).is_some() && other.at(f).is_some()).count()
     }
 
     /// Frames in which it is measured, at most `most` of them, evenly spread.
@@ -189,6 +195,7 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
             }
         }
     }
+    set_ends_apart(&mut tracklets, &mut owner, (frames, times_s), acceleration, torn);
     let ways: [PartsOf; 2] = [led_back, fitting_into_holes];
     for parts_of in ways {
         let parts = parts_of(&tracklets, times_s, acceleration);
@@ -197,45 +204,6 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Ve
     }
     trim_handovers(&mut tracklets, &mut owner, frames);
     (tracklets, owner)
-}
-
-/// Where one tracklet ends and another begins beside it, the forward pass handed a marker over; in a frame or two it had it
-/// twice, each with some of its rays. Of the two the one that fewer cameras saw is shortened: else they could not be one.
-fn trim_handovers(tracklets: &mut [Tracklet], owner: &mut [Vec<Option<usize>>], frames: &[Tracked]) {
-    let mut beginning: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (i, one) in tracklets.iter().enumerate() {
-        beginning.entry(one.first).or_default().push(i);
-    }
-    for a in 0..tracklets.len() {
-        for back in 0..RUN_UP {
-            let last = tracklets[a].last();
-            let Some(first) = last.checked_sub(back).filter(|f| *f > tracklets[a].first) else { continue };
-            for &b in beginning.get(&first).into_iter().flatten() {
-                if !is_handover(&tracklets[a], &tracklets[b]) {
-                    continue;
-                }
-                let share = |t: usize| tracklets[t].wide as f64 / tracklets[t].measured as f64;
-                let shortened = if share(a) < share(b) { a } else { b };
-                for f in first..=last {
-                    if let Some(s) = owner[f].iter().position(|o| *o == Some(shortened)) {
-                        owner[f][s] = None;
-                        tracklets[shortened].give_up(f, &frames[f].samples[s]);
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Whether a tracklet begins where another ends, beside it, so that they may be one marker.
-fn is_handover(ended: &Tracklet, begun: &Tracklet) -> bool {
-    let (first, last) = (begun.first, ended.last());
-    let reach = BESIDE * ended.noise().hypot(begun.noise());
-    let is_beside = |f: usize| match (ended.at(f), begun.at(f)) {
-        (Some(p), Some(q)) => (p - q).norm() < reach,
-        _ => true,
-    };
-    ended.first < first && first <= last && last < begun.last() && (first..=last).all(is_beside)
 }
 
 /// Tells for each tracklet the number of the one that it is part of, by times (s) and the usual acceleration (m/s²).
@@ -328,8 +296,8 @@ fn led_back(tracklets: &[Tracklet], times_s: &[f64], acceleration: f64) -> Vec<u
             let places: Vec<Vector3<f64>> = ended.iter().filter_map(|&e| tracklets[e].at(last)).collect();
             for (e, k) in clear_pairs(&ahead, &places).into_iter().enumerate().filter_map(|(e, k)| k.map(|k| (e, k))) {
                 let forwards = Ahead::of(&tracklets[ended[e]], first, times_s, acceleration);
-                let off = tracklets[free[k]].at(first).map_or(f64::MAX, |p| (p - forwards.point).norm());
-                if off < FARTHEST * forwards.spread {
+                let off = tracklets[free[k]].at(first).map_or(f64::MAX, |p| forwards.off(&p));
+                if off < FARTHEST {
                     before[free[k]] = Some(ended[e]);
                 }
             }
@@ -351,113 +319,6 @@ fn merged(tracklets: &[Tracklet], parts: &[usize]) -> Vec<Tracklet> {
     let mut members: Vec<Vec<&Tracklet>> = vec![Vec::new(); count];
     parts.iter().zip(tracklets).for_each(|(&part, one)| members[part].push(one));
     members.into_iter().map(|own| Tracklet::together(&own)).collect()
-}
-
-/// Where a tracklet leads.
-struct Ahead {
-    track: u32,
-    point: Vector3<f64>,
-    /// How far off that may be (m).
-    spread: f64,
-}
-
-impl Ahead {
-    fn of(tracklet: &Tracklet, index: usize, times_s: &[f64], acceleration: f64) -> Self {
-        let last = tracklet.last();
-        let newest = tracklet.places[tracklet.places.len() - 1].unwrap_or_default();
-        let dt_s = times_s[index] - times_s[last];
-        let before = (tracklet.first..last).rev().take(RUN_UP).find_map(|f| tracklet.at(f).map(|p| (f, p)));
-        let (point, lag_s, speed) = match before {
-            Some((f, p)) => {
-                let lag_s = times_s[last] - times_s[f];
-                (newest + (newest - p) * (dt_s / lag_s), lag_s, 0.0)
-            }
-            None => (newest, 0.0, UNKNOWN_SPEED),
-        };
-        let spread = LEAST_SPREAD + speed * dt_s + 0.5 * acceleration * dt_s * (dt_s + lag_s);
-        Self { track: tracklet.track, point, spread }
-    }
-
-    /// Where a tracklet comes from: its place in a frame before its first.
-    fn back_from(tracklet: &Tracklet, index: usize, times_s: &[f64], acceleration: f64) -> Self {
-        let first = tracklet.first;
-        let oldest = tracklet.places[0].unwrap_or_default();
-        let dt_s = times_s[first] - times_s[index];
-        let later = (first + 1..=tracklet.last()).take(RUN_UP).find_map(|f| tracklet.at(f).map(|p| (f, p)));
-        let (velocity, lag_s) = later.map_or((Vector3::zeros(), RUN_UP as f64 * dt_s), |(f, p)| {
-            let lag_s = times_s[f] - times_s[first];
-            ((p - oldest) / lag_s, lag_s)
-        });
-        let spread = LEAST_SPREAD + 0.5 * acceleration * dt_s * (dt_s + lag_s);
-        Self { track: tracklet.track, point: oldest - velocity * dt_s, spread }
-    }
-}
-
-/// For each place, the index of what clearly leads to it.
-fn clear_pairs(ahead: &[Ahead], places: &[Vector3<f64>]) -> Vec<Option<usize>> {
-    let mut of_place = vec![Nearest::default(); places.len()];
-    let mut of_ahead = vec![Nearest::default(); ahead.len()];
-    for (k, one) in ahead.iter().enumerate() {
-        for (s, place) in places.iter().enumerate() {
-            let off = (place - one.point).norm() / one.spread;
-            of_place[s].take_in(k, off);
-            of_ahead[k].take_in(s, off);
-        }
-    }
-    let clearly = |s: usize| {
-        let (k, _) = of_place[s].first?;
-        let (back, off) = of_ahead[k].first?;
-        let second = of_place[s].second.min(of_ahead[k].second);
-        (back == s && off < FARTHEST && second > CLEAR * off.max(1.0)).then_some(k)
-    };
-    (0..places.len()).map(clearly).collect()
-}
-
-/// For each sample, the index of what it goes on with.
-fn continuations<'a>(ahead: &[Ahead], samples: impl Iterator<Item = &'a Sample>, torn: f64) -> Vec<Option<usize>> {
-    let samples: Vec<&Sample> = samples.collect();
-    let places: Vec<Vector3<f64>> = samples.iter().map(|s| s.point).collect();
-    let mut found = clear_pairs(ahead, &places);
-    for (sample, found) in samples.iter().zip(&mut found) {
-        let believable = |k: &usize| ahead[*k].track == sample.track || ahead[*k].spread < SURE_SPREAD;
-        *found = found.filter(believable);
-    }
-    let mut taken = vec![false; ahead.len()];
-    found.iter().flatten().for_each(|&k| taken[k] = true);
-    for (sample, found) in samples.iter().zip(&mut found).filter(|(_, f)| f.is_none()) {
-        let goes_on = |k: &usize| {
-            let one = &ahead[*k];
-            !taken[*k] && one.track == sample.track && (sample.point - one.point).norm() < torn * one.spread
-        };
-        *found = (0..ahead.len()).find(goes_on);
-        found.iter().for_each(|&k| taken[k] = true);
-    }
-    found
-}
-
-/// The nearest candidate, and how far the second is (spreads).
-#[derive(Clone, Copy)]
-struct Nearest {
-    first: Option<(usize, f64)>,
-    second: f64,
-}
-
-impl Default for Nearest {
-    fn default() -> Self {
-        Self { first: None, second: f64::INFINITY }
-    }
-}
-
-impl Nearest {
-    fn take_in(&mut self, who: usize, off: f64) {
-        match self.first {
-            Some((_, best)) if off >= best => self.second = self.second.min(off),
-            first => {
-                self.second = first.map_or(f64::INFINITY, |f| f.1);
-                self.first = Some((who, off));
-            }
-        }
-    }
 }
 
 /// Acceleration that is rarely exceeded in this take (m/s²): its 95 % quantile over what the forward pass followed.
@@ -554,29 +415,5 @@ mod tests {
         let frames: Vec<Tracked> = (0..FRAMES).map(&mut frame).collect();
         let (tracklets, _) = cut(&frames, &times_s(), TORN);
         assert_eq!(tracklets.iter().map(|t| t.measured).collect::<Vec<_>>(), [FRAMES; 8]);
-    }
-
-    #[test]
-    fn of_two_that_hand_a_marker_over_the_narrower_loses_the_frame_in_which_both_have_it() {
-        let places = [swinging(0, 0), swinging(0, 0) + Vector3::x() * 0.04];
-        let frame = |f: usize| {
-            let of = |(track, place): (u32, &Vector3<f64>)| {
-                let dots: &[u32] = if track == 0 { &[0, 1] } else { &[2, 3, 4] };
-                (if track == 0 { f <= 50 } else { f >= 50 }).then(|| sample(track, *place, dots))
-            };
-            Tracked { samples: (0..).zip(&places).filter_map(of).collect(), ..Tracked::default() }
-        };
-        let frames: Vec<Tracked> = (0..100).map(frame).collect();
-        let mut tracklets = vec![Tracklet::starting(0), Tracklet::starting(50)];
-        let mut owner = Vec::new();
-        for (f, frame) in frames.iter().enumerate() {
-            frame.samples.iter().for_each(|s| tracklets[s.track as usize].take_in(f, s));
-            owner.push(frame.samples.iter().map(|s| Some(s.track as usize)).collect::<Vec<_>>());
-        }
-        trim_handovers(&mut tracklets, &mut owner, &frames);
-        let spans: Vec<(usize, usize)> = tracklets.iter().map(|t| (t.first, t.last())).collect();
-        assert_eq!(spans, [(0, 49), (50, 99)]);
-        assert_eq!(owner[50], [None, Some(1)], "the sample is nobody's any more");
-        assert_eq!((tracklets[0].measured, tracklets[1].wide), (50, 50));
     }
 }

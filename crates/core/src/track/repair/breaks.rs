@@ -1,0 +1,131 @@
+//! Tracklets that go on with another marker after a moment in which they were hidden, found out by their links.
+//!
+//! Two markers that pass each other while both are hidden for a frame or two may leave no trace in their motion. But what
+//! kept its distance from one of them changes it from then on. A tracklet is cut where the links of the part before do not
+//! hold after it, and those of the part after did not hold before; what belongs together is joined again with more to go by
+//! (`join.rs`).
+
+use super::join::{Chain, Scene};
+use super::tracklets::Tracklet;
+use crate::track::Tracked;
+use rayon::prelude::*;
+
+/// Measured frames that a part needs to tell of its links.
+const LEAST: usize = 12;
+/// Frames after a gap that are looked at.
+const LOOK: usize = 100;
+
+/// Tracklets with, by frame and sample, the tracklet of each measured one.
+pub(super) type Cut = (Vec<Tracklet>, Vec<Vec<Option<usize>>>);
+
+/// Tracklets cut where their links to others break; `None` if they hold everywhere. The others are chains, or single tracklets
+/// as long as there are none.
+pub(super) fn cut_at_breaks(
+    (tracklets, owner): &Cut,
+    chains: &[Chain],
+    frames: &[Tracked],
+    times_s: &[f64],
+) -> Option<Cut> {
+    let breaks = breaks(tracklets, chains, times_s);
+    if breaks.iter().all(Vec::is_empty) {
+        return None;
+    }
+    // The number of each tracklet's first part.
+    let mut numbers = vec![0];
+    breaks.iter().for_each(|b| numbers.push(numbers[numbers.len() - 1] + 1 + b.len()));
+    let mut parts: Vec<Option<Tracklet>> = vec![None; numbers[breaks.len()]];
+    let mut owner = owner.clone();
+    for (f, (frame, owner)) in frames.iter().zip(&mut owner).enumerate() {
+        for (sample, owner) in frame.samples.iter().zip(owner) {
+            let Some(t) = *owner else { continue };
+            let part = numbers[t] + breaks[t].partition_point(|&from| from <= f);
+            let followed = if part == numbers[t] { tracklets[t].followed } else { 0.0 };
+            let first_track = if part == numbers[t] { tracklets[t].first_track } else { sample.track };
+            let new = || Tracklet { first_track, followed, ..Tracklet::starting(f) };
+            parts[part].get_or_insert_with(new).take_in(f, sample);
+            *owner = Some(part);
+        }
+    }
+    Some((parts.into_iter().flatten().collect(), owner))
+}
+
+/// Each tracklet as a chain.
+pub(super) fn singles(tracklets: &[Tracklet]) -> Vec<Chain> {
+    (0..tracklets.len()).map(|t| Chain::of(tracklets, vec![t])).collect()
+}
+
+/// For each tracklet the frames from which on it is another marker.
+fn breaks(tracklets: &[Tracklet], chains: &[Chain], times_s: &[f64]) -> Vec<Vec<usize>> {
+    let scene = Scene::new(tracklets, times_s, chains, &[]);
+    let mut chain_of = vec![usize::MAX; tracklets.len()];
+    for (c, chain) in chains.iter().enumerate() {
+        chain.tracklets.iter().for_each(|&t| chain_of[t] = c);
+    }
+    (0..tracklets.len()).into_par_iter().map(|t| scene.breaks_of(&tracklets[t], chain_of[t])).collect()
+}
+
+impl Scene<'_> {
+    /// Frames from which on a tracklet of a chain is another marker.
+    fn breaks_of(&self, one: &Tracklet, chain: usize) -> Vec<usize> {
+        let mut found = Vec::new();
+        let mut from = one.first;
+        let returns = (one.first + 1..=one.last()).filter(|&f| one.at(f).is_some() && one.at(f - 1).is_none());
+        for hole in returns {
+            let (before, after) = (one.within(from..hole), one.within(hole..(hole + LOOK).min(one.last() + 1)));
+            if before.measured.min(after.measured) < LEAST {
+                continue;
+            }
+            let fits = |part: &Tracklet, of: &Tracklet| {
+                Self::links(&self.profile_by(&[part], &[chain]), &self.distances_by(&[of]))
+            };
+            if fits(&before, &after) < 0.0 && fits(&after, &before) < 0.0 {
+                from = hole;
+                found.push(hole);
+            }
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Rotation3, Vector3};
+
+    const FRAMES: usize = 300;
+    /// One marker is hidden in this frame.
+    const HIDDEN: usize = 150;
+
+    /// Where a marker of one of two bodies is, each of which turns in its own way; they meet in the hidden frame.
+    fn place(body: usize, at: [f64; 3], f: usize) -> Vector3<f64> {
+        let t = (f as f64 - HIDDEN as f64) / 100.0;
+        let way = [1.0, -1.0][body];
+        let turn = Rotation3::from_euler_angles(way * t, 0.5 * (1.3 * t).sin(), 0.8 * way * t);
+        turn * Vector3::from(at) + Vector3::new(0.2 * way * t, 0.1 * t, 1.0)
+    }
+
+    const CORNERS: [[f64; 3]; 4] = [[0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.2], [-0.1, -0.1, 0.1]];
+
+    /// What is found when the last tracklet goes on with a marker of this body after the hidden frame.
+    fn found(body_after: usize) -> Vec<Vec<usize>> {
+        let of_body = |body: usize| {
+            CORNERS.map(|at| Tracklet::of_places(0, (0..FRAMES).map(|f| Some(place(body, at, f))).collect()))
+        };
+        let at = |f: usize| {
+            let body = if f < HIDDEN { 0 } else { body_after };
+            (f != HIDDEN).then(|| place(body, [0.05, 0.05, 0.0], f))
+        };
+        let mut tracklets: Vec<Tracklet> = [of_body(0), of_body(1)].concat();
+        tracklets.push(Tracklet::of_places(0, (0..FRAMES).map(at).collect()));
+        let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
+        breaks(&tracklets, &singles(&tracklets), &times_s)
+    }
+
+    #[test]
+    fn a_tracklet_that_goes_on_with_another_bodys_marker_is_cut_where_it_was_hidden() {
+        let mut expected = vec![Vec::new(); 9];
+        assert_eq!(found(0), expected, "the same marker comes back");
+        expected[8] = vec![HIDDEN + 1];
+        assert_eq!(found(1), expected);
+    }
+}
