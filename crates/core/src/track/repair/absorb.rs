@@ -78,8 +78,8 @@ impl Scene<'_> {
         possible.then(|| Handout { gain, chains: chains.to_vec(), tracklets: vec![ones, others, Vec::new()] })
     }
 
-    /// Three chains' tracklets in blocks that overlap in time, each in two parts that do not; `None` if that cannot be. What is
-    /// one too many for a moment is left out.
+    /// Three chains' tracklets in blocks that overlap in time, each in two parts that do not; `None` if that cannot be.
+    /// What is one too many for a moment is left out.
     fn in_two(&self, chains: [usize; 3]) -> Option<Vec<Block>> {
         let mut all: Vec<usize> = chains.iter().flat_map(|&c| &self.chains[c].tracklets).copied().collect();
         all.sort_unstable_by_key(|&t| (self.tracklets[t].first, t));

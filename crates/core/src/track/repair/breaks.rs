@@ -18,8 +18,8 @@ const LOOK: usize = 100;
 /// Tracklets with, by frame and sample, the tracklet of each measured one.
 pub(super) type Cut = (Vec<Tracklet>, Vec<Vec<Option<usize>>>);
 
-/// Tracklets cut where their links to others break; `None` if they hold everywhere. The others are chains, or single tracklets
-/// as long as there are none.
+/// Tracklets cut where their links to others break; `None` if they hold everywhere. The others are chains, or single
+/// tracklets as long as there are none.
 pub(super) fn cut_at_breaks(
     (tracklets, owner): &Cut,
     chains: &[Chain],

@@ -112,8 +112,8 @@ mod tests {
         Sample::new(track, (point, Matrix3::identity() * 1e-6), Kind::Measured, dots, 0.99)
     }
 
-    /// Pieces of two markers on their way, so far apart (m), by what the forward pass called each where it was seen: first and
-    /// last frame, and how far it gets off its own way (m).
+    /// Pieces of two markers on their way, so far apart (m), by what the forward pass called each where it was seen: first
+    /// and last frame, and how far it gets off its own way (m).
     fn pieces(apart_m: f64, name: impl Fn(u32, usize) -> Option<u32>) -> Vec<(usize, usize, f64)> {
         let frame = |f: usize| {
             let place = |m: u32| Vector3::new(0.004 * f as f64, apart_m * f64::from(m), 1.0);

@@ -3,9 +3,9 @@
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong, by where motion leads
 //!    (`ahead`, `ends`) and where links break (`breaks`, once more when there are chains); pieces that follow another one's
 //!    marker go or become one with it (`twins`).
-//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two chains at
-//!    a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their pieces anew,
-//!    and three of which only two are ever seen at once become two (`absorb`).
+//! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
+//!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
+//!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
 //!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
 //!    brightness is known.

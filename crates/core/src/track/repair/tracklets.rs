@@ -23,8 +23,9 @@ pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
-/// Measured frames up to which a stretch may be a chance meeting of rays.
+/// Measured frames up to which a stretch may be a chance meeting of rays; so many times more if it was never more than two.
 pub(super) const FLICKER: usize = 2;
+const LONGER: usize = 3;
 
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
@@ -111,7 +112,7 @@ impl Tracklet {
     /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
     pub fn is_flicker(&self) -> bool {
         let narrow = self.measured - self.wide;
-        narrow > 0 && self.measured <= if self.wide == 0 { 3 * FLICKER } else { FLICKER }
+        narrow > 0 && self.measured <= if self.wide == 0 { LONGER * FLICKER } else { FLICKER }
     }
 
     /// Index of the last frame.

@@ -1,4 +1,5 @@
-//! Tracklets that follow another one's marker: for some frames each of them has a part of its rays.
+//! Tracklets that follow another one's marker: for some frames each of them has a part of its rays, or they have it by
+//! turns.
 
 use super::tracklets::Tracklet;
 use crate::correspond::frame::Dot;
