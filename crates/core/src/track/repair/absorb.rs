@@ -192,19 +192,22 @@ mod tests {
 
     const TRUNK: [[f64; 3]; 4] = [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.2, 0.3], [0.3, 0.2, 0.3]];
 
-    #[test]
-    fn a_chain_that_a_wrong_piece_kept_out_is_handed_out_to_the_other_two() {
-        let mut markers: Vec<Seen> = TRUNK.map(|p| (p, always as fn(usize) -> bool)).to_vec();
-        markers.extend([([0.1, 0.1, 0.1], early as fn(usize) -> bool), ([0.13, 0.12, 0.12], late)]);
-        // In one place the first of the near ones has a piece of the other, in another the other of the first; what they lost
-        // by that is a third chain.
-        let chain_of = |marker: usize, first: usize| match (marker, first / 100) {
+    /// In one place the first of the near ones has a piece of the other, in another the other of the first; what they lost by
+    /// that is a third chain.
+    fn mixed(marker: usize, first: usize) -> usize {
+        match (marker, first / 100) {
             (4, 3) | (5, 7) => 6,
             (5, 3) => 4,
             (4, 7) => 5,
             (m, _) => m,
-        };
-        let mut found = absorbed(&markers, chain_of);
+        }
+    }
+
+    #[test]
+    fn a_chain_that_a_wrong_piece_kept_out_is_handed_out_to_the_other_two() {
+        let mut markers: Vec<Seen> = TRUNK.map(|p| (p, always as fn(usize) -> bool)).to_vec();
+        markers.extend([([0.1, 0.1, 0.1], early as fn(usize) -> bool), ([0.13, 0.12, 0.12], late)]);
+        let mut found = absorbed(&markers, mixed);
         found.iter_mut().for_each(|two| two.sort());
         assert_eq!(found, [[vec![4], vec![5]]]);
     }
@@ -218,13 +221,7 @@ mod tests {
             ([0.13, 0.12, 0.12], late),
             ([0.11, 0.1, 0.12], a_moment),
         ]);
-        let chain_of = |marker: usize, first: usize| match (marker, first / 100) {
-            (4, 3) | (5, 7) => 6,
-            (5, 3) => 4,
-            (4, 7) => 5,
-            (m, _) => m,
-        };
-        let mut found = absorbed(&markers, chain_of);
+        let mut found = absorbed(&markers, mixed);
         found.iter_mut().for_each(|two| two.sort());
         assert_eq!(found, [[vec![4], vec![5]]]);
     }

@@ -52,11 +52,11 @@ impl Ahead {
             Some((p, lag_s)) => (here + (here - p) * (dt_s / lag_s), lag_s, 0.0, dt_s / lag_s),
             None => (here, 0.0, UNKNOWN_SPEED, 0.0),
         };
-        // Noise of the two places, and of the one that is held against this.
-        let noise = tracklet.variance_m2().sqrt() * ((1.0 + stretch).powi(2) + stretch * stretch + 1.0).sqrt();
         let spread = LEAST_SPREAD + speed * dt_s + 0.5 * acceleration * dt_s * (dt_s + lag_s);
-        // Forwards, the identities of the forward pass count where motion is not clear: noise would only keep them.
-        let noise = if index < tracklet.first { noise } else { 0.0 };
+        // Noise of the two places, and of the one that is held against this. Forwards, the identities of the forward pass count
+        // where motion is not clear: noise would only keep them.
+        let variances = if index < end { (1.0 + stretch).powi(2) + stretch * stretch + 1.0 } else { 0.0 };
+        let noise = (variances * tracklet.variance_m2()).sqrt();
         Self { track: tracklet.track, point, spread: spread.hypot(noise) }
     }
 
@@ -90,8 +90,9 @@ pub(super) fn clear_pairs(ahead: &[Ahead], places: &[Vector3<f64>]) -> Vec<Optio
         let enough = (CLEAR * off(k, s).max(1.0)).powi(2);
         let others = (0..ahead.len()).filter(|&l| l != k && off(l, s).powi(2) <= enough);
         let elsewhere = (0..places.len()).filter(|&t| t != s && off(k, t).powi(2) <= enough);
-        let stands = others.map(|l| own_place(l).map(|t| (l, t))).chain(elsewhere.map(|t| pair_of(t).map(|l| (l, t))));
-        stands.into_iter().all(|pair| pair.is_some_and(|(l, t)| exchanged(k, s, l, t) > enough)).then_some(k)
+        let of_others = others.map(|l| own_place(l).map(|t| (l, t)));
+        let mut stands = of_others.chain(elsewhere.map(|t| pair_of(t).map(|l| (l, t))));
+        stands.all(|pair| pair.is_some_and(|(l, t)| exchanged(k, s, l, t) > enough)).then_some(k)
     };
     (0..places.len()).map(clearly).collect()
 }

@@ -6,7 +6,7 @@
 //! (`join.rs`).
 
 use super::join::{Chain, Scene};
-use super::tracklets::Tracklet;
+use super::tracklets::{Cut, Tracklet};
 use crate::track::Tracked;
 use rayon::prelude::*;
 
@@ -14,9 +14,6 @@ use rayon::prelude::*;
 const LEAST: usize = 12;
 /// Frames after a gap that are looked at.
 const LOOK: usize = 100;
-
-/// Tracklets with, by frame and sample, the tracklet of each measured one.
-pub(super) type Cut = (Vec<Tracklet>, Vec<Vec<Option<usize>>>);
 
 /// Tracklets cut where their links to others break; `None` if they hold everywhere. The others are chains, or single
 /// tracklets as long as there are none.
@@ -39,9 +36,9 @@ pub(super) fn cut_at_breaks(
         for (sample, owner) in frame.samples.iter().zip(owner) {
             let Some(t) = *owner else { continue };
             let part = numbers[t] + breaks[t].partition_point(|&from| from <= f);
-            let followed = if part == numbers[t] { tracklets[t].followed } else { 0.0 };
-            let first_track = if part == numbers[t] { tracklets[t].first_track } else { sample.track };
-            let new = || Tracklet { first_track, followed, ..Tracklet::starting(f) };
+            let Tracklet { first_track, followed, .. } = tracklets[t];
+            let known = if part == numbers[t] { (first_track, followed) } else { (sample.track, 0.0) };
+            let new = || Tracklet { first_track: known.0, followed: known.1, ..Tracklet::starting(f) };
             parts[part].get_or_insert_with(new).take_in(f, sample);
             *owner = Some(part);
         }

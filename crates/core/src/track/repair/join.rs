@@ -146,9 +146,7 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
     };
     loop {
         hand_out(tracklets, times_s, &mut chains, &told);
-        let joints = joints_of(tracklets, &chains, times_s.len());
-        let found = Scene::new(tracklets, times_s, &chains, &joints).absorbed();
-        if !hand_over(tracklets, &mut chains, found) {
+        if !improved(tracklets, times_s, &mut chains, Way::Absorbed) {
             break;
         }
     }
@@ -164,33 +162,43 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
 /// Two chains at a time, then whole limbs, hand out their tracklets anew until nothing is gained any more; and two at a time
 /// once more, because what lies on whose side is only asked there.
 fn hand_out(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, told: &dyn Fn(f64)) {
-    let exchanged = |chains: &mut Vec<Chain>| {
-        let joints = joints_of(tracklets, chains, times_s.len());
-        let found = Scene::new(tracklets, times_s, chains, &joints).exchanges();
-        hand_over(tracklets, chains, found)
-    };
-    let relabelled = |chains: &mut Vec<Chain>| {
-        let joints = joints_of(tracklets, chains, times_s.len());
-        let found = Scene::new(tracklets, times_s, chains, &joints).relabellings();
-        hand_over(tracklets, chains, found)
-    };
     for round in 0..EXCHANGES {
         told(JOINED + (EXCHANGED - JOINED) * round as f64 / EXCHANGES as f64);
-        if !exchanged(chains) {
+        if !improved(tracklets, times_s, chains, Way::Exchanged) {
             break;
         }
     }
     for round in 0..RELABELLINGS {
         told(EXCHANGED + (1.0 - EXCHANGED) * round as f64 / RELABELLINGS as f64);
-        if !relabelled(chains) {
+        if !improved(tracklets, times_s, chains, Way::Relabelled) {
             break;
         }
     }
     for _ in 0..EXCHANGES {
-        if !exchanged(chains) {
+        if !improved(tracklets, times_s, chains, Way::Exchanged) {
             break;
         }
     }
+}
+
+/// Ways to hand out tracklets anew: by two chains, by limbs, by three chains that become two.
+#[derive(Clone, Copy)]
+enum Way {
+    Exchanged,
+    Relabelled,
+    Absorbed,
+}
+
+/// Whether chains were improved by better distributions that are found with what they are now.
+fn improved(tracklets: &[Tracklet], times_s: &[f64], chains: &mut Vec<Chain>, way: Way) -> bool {
+    let joints = joints_of(tracklets, chains, times_s.len());
+    let scene = Scene::new(tracklets, times_s, chains, &joints);
+    let found = match way {
+        Way::Exchanged => scene.exchanges(),
+        Way::Relabelled => scene.relabellings(),
+        Way::Absorbed => scene.absorbed(),
+    };
+    hand_over(tracklets, chains, found)
 }
 
 /// Hands out tracklets anew where that is worth it, what gains the most first, each chain once. Whether anything changed.

@@ -102,11 +102,10 @@ fn identify(
     shots: Option<&[Shot]>,
     told: &dyn Fn(f64),
 ) -> Vec<Tracked> {
-    let (mut tracklets, mut owner) = cut(frames, times_s, torn);
+    let mut cut = cut(frames, times_s, torn);
     if let Some(shots) = shots {
-        (tracklets, owner) = without_twins(tracklets, owner, frames, shots);
+        cut = without_twins(cut, frames, shots);
     }
-    let mut cut = (tracklets, owner);
     cut = cut_at_breaks(&cut, &singles(&cut.0), frames, times_s).unwrap_or(cut);
     let mut chains = join(&cut.0, times_s, &|part| told(0.5 * part));
     // Those that are joined tell more.

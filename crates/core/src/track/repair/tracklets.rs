@@ -27,6 +27,9 @@ const LEAST_ACCELERATION: f64 = 5.0;
 pub(super) const FLICKER: usize = 2;
 const LONGER: usize = 3;
 
+/// Tracklets, and by frame and sample the tracklet of each measured one.
+pub type Cut = (Vec<Tracklet>, Vec<Vec<Option<usize>>>);
+
 /// A stretch of measured samples.
 #[derive(Clone, Debug)]
 pub struct Tracklet {
@@ -154,7 +157,7 @@ impl Tracklet {
 ///
 /// A sample goes on with the tracklet whose motion leads to it, whatever identity the forward pass gave it: that pass may
 /// have given a visible marker's dots to a hidden one. Where motion is not clear, the forward pass's identity counts.
-pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
+pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> Cut {
     let believed = believed(frames);
     let acceleration = usual_acceleration(frames, times_s);
     let mut tracklets: Vec<Tracklet> = Vec::new();

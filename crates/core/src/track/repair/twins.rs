@@ -1,7 +1,7 @@
 //! Tracklets that follow another one's marker: for some frames each of them has a part of its rays, or they have it by
 //! turns.
 
-use super::tracklets::Tracklet;
+use super::tracklets::{Cut, Tracklet};
 use crate::correspond::frame::Dot;
 use crate::track::duplicate::{NEAR, near};
 use crate::track::{Sample, Shot, Tracked};
@@ -14,12 +14,7 @@ const MUCH: usize = 2;
 
 /// Takes out the tracklets that are, in most of their frames, in one place with a longer one and seen by other cameras; and
 /// makes one of those that are so wherever both are seen.
-pub fn without_twins(
-    tracklets: Vec<Tracklet>,
-    mut owner: Vec<Vec<Option<usize>>>,
-    frames: &[Tracked],
-    shots: &[Shot],
-) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
+pub fn without_twins((tracklets, mut owner): Cut, frames: &[Tracked], shots: &[Shot]) -> Cut {
     let mut together = Together::new();
     for ((frame, owner), shot) in frames.iter().zip(&owner).zip(shots) {
         for (a, b) in pairs_in_one_place(frame, owner, &shot.dots) {
@@ -33,7 +28,7 @@ pub fn without_twins(
     let stays: Vec<bool> = tracklets.iter().zip(beside).map(|(t, n)| !is_mostly(n, t.measured)).collect();
     together.retain(|&(a, b), _| stays[a] && stays[b]);
     owner.iter_mut().flatten().for_each(|t| *t = t.filter(|&t| stays[t]));
-    one_of_each(tracklets, owner, frames, &together, &stays)
+    one_of_each((tracklets, owner), frames, &together, &stays)
 }
 
 /// In how many frames two tracklets, the earlier first, are in one place and seen by different cameras.
@@ -44,13 +39,7 @@ fn is_mostly(some: usize, all: usize) -> bool {
 }
 
 /// Puts together the tracklets that are one marker; where both are seen, the one with more rays counts.
-fn one_of_each(
-    mut tracklets: Vec<Tracklet>,
-    mut owner: Vec<Vec<Option<usize>>>,
-    frames: &[Tracked],
-    together: &Together,
-    stays: &[bool],
-) -> (Vec<Tracklet>, Vec<Vec<Option<usize>>>) {
+fn one_of_each((mut tracklets, mut owner): Cut, frames: &[Tracked], together: &Together, stays: &[bool]) -> Cut {
     let whole = wholes(&tracklets, together);
     for (f, (frame, owner)) in frames.iter().zip(&mut owner).enumerate() {
         let mut best: BTreeMap<usize, usize> = BTreeMap::new();
@@ -152,8 +141,8 @@ mod tests {
         };
         let frames: Vec<Tracked> = (0..100).map(frame).collect();
         let times_s: Vec<f64> = (0..100).map(|f| f64::from(f) / 100.0).collect();
-        let (tracklets, owner) = cut(&frames, &times_s, TORN);
-        let (kept, owner) = without_twins(tracklets, owner, &frames, &vec![Shot { dots, lag_s: Vec::new() }; 100]);
+        let shots = vec![Shot { dots, lag_s: Vec::new() }; 100];
+        let (kept, owner) = without_twins(cut(&frames, &times_s, TORN), &frames, &shots);
         let last = owner.iter().flatten().flatten().max().copied();
         assert_eq!(last, kept.len().checked_sub(1), "owners are numbered anew");
         usize::from(kept.iter().any(|t| t.track == 1))
@@ -183,8 +172,8 @@ mod tests {
         };
         let frames: Vec<Tracked> = (0..100).map(frame).collect();
         let times_s: Vec<f64> = (0..100).map(|f| f64::from(f) / 100.0).collect();
-        let (tracklets, owner) = cut(&frames, &times_s, TORN);
-        let (kept, owner) = without_twins(tracklets, owner, &frames, &vec![Shot { dots, lag_s: Vec::new() }; 100]);
+        let shots = vec![Shot { dots, lag_s: Vec::new() }; 100];
+        let (kept, owner) = without_twins(cut(&frames, &times_s, TORN), &frames, &shots);
         let mut counts = vec![0; kept.len()];
         owner.iter().flatten().flatten().for_each(|&t| counts[t] += 1);
         assert_eq!(counts, kept.iter().map(|t| t.measured).collect::<Vec<_>>());
