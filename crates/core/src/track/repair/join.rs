@@ -8,7 +8,7 @@
 
 use super::bridge::leaders;
 use super::joints::{Path, joint_centers};
-use super::tracklets::{FLICKER, Tracklet};
+use super::tracklets::{FLICKER, Tracklet, longest_flicker};
 use crate::assignment::assign;
 use nalgebra::Vector3;
 use std::cell::Cell;
@@ -131,8 +131,10 @@ impl Link {
 /// (0–1), every now and then.
 pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
     let single = |i: usize| Chain::of(tracklets, vec![i]);
-    let all = 0..tracklets.len();
-    let mut chains: Vec<Chain> = all.clone().filter(|&i| !tracklets[i].is_flicker()).map(single).collect();
+    let longest = longest_flicker(tracklets);
+    let (flickers, others): (Vec<usize>, Vec<usize>) =
+        (0..tracklets.len()).partition(|&i| tracklets[i].is_flicker(longest));
+    let mut chains: Vec<Chain> = others.into_iter().map(single).collect();
     for (round, enough) in ENOUGH.into_iter().enumerate() {
         told(JOINED * round as f64 / ENOUGH.len() as f64);
         let joints = joints_of(tracklets, &chains, times_s.len());
@@ -150,12 +152,12 @@ pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<
             break;
         }
     }
-    chains.extend(all.filter(|&i| tracklets[i].is_flicker()).map(single));
+    chains.extend(flickers.into_iter().map(single));
     for enough in ENOUGH_FOR_FLICKERS {
         let joints = joints_of(tracklets, &chains, times_s.len());
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
-    chains.retain(|c| c.length > FLICKER && c.tracklets.iter().any(|&t| !tracklets[t].is_flicker()));
+    chains.retain(|c| c.length > FLICKER && c.tracklets.iter().any(|&t| !tracklets[t].is_flicker(longest)));
     chains
 }
 

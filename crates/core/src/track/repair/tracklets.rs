@@ -23,9 +23,8 @@ pub const TORN_POINTS: f64 = 40.0;
 /// The usual acceleration: from about so many frames, at least (m/s²).
 const LOOKED_AT: usize = 500;
 const LEAST_ACCELERATION: f64 = 5.0;
-/// Measured frames up to which a stretch may be a chance meeting of rays; so many times more if it was never more than two.
+/// Measured frames up to which a stretch may be a chance meeting of rays.
 pub(super) const FLICKER: usize = 2;
-const LONGER: usize = 3;
 
 /// Tracklets, and by frame and sample the tracklet of each measured one.
 pub type Cut = (Vec<Tracklet>, Vec<Vec<Option<usize>>>);
@@ -112,10 +111,11 @@ impl Tracklet {
         }
     }
 
-    /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance.
-    pub fn is_flicker(&self) -> bool {
+    /// Whether it is so short, and seen by so few cameras, that its rays may have met by chance; `longest`: frames of such a
+    /// stretch that was never seen by more than two ([`longest_flicker`]).
+    pub fn is_flicker(&self, longest: usize) -> bool {
         let narrow = self.measured - self.wide;
-        narrow > 0 && self.measured <= if self.wide == 0 { LONGER * FLICKER } else { FLICKER }
+        narrow > 0 && self.measured <= if self.wide == 0 { longest } else { FLICKER }
     }
 
     /// Index of the last frame.
@@ -212,6 +212,15 @@ pub fn cut(frames: &[Tracked], times_s: &[f64], torn: f64) -> Cut {
 
 /// Tells for each tracklet the number of the one that it is part of, by times (s) and the usual acceleration (m/s²).
 type PartsOf = fn(&[Tracklet], &[f64], f64) -> Vec<usize>;
+
+/// Measured frames up to which a stretch that only two rays ever saw may be their chance meeting: longer the rarer such
+/// samples are in this take (times their rarity in nats). Where cameras are few, markers themselves are seen so.
+pub(super) fn longest_flicker(tracklets: &[Tracklet]) -> usize {
+    let measured: usize = tracklets.iter().map(|t| t.measured).sum();
+    let wide: usize = tracklets.iter().map(|t| t.wide).sum();
+    let rarity = (measured as f64 / (measured - wide).max(1) as f64).ln();
+    (FLICKER as f64 * rarity.max(1.0)).round() as usize
+}
 
 /// For each tracklet the number of the one that it is part of, when it fits into the hole of another: for a frame or two the
 /// forward pass gave a marker's points to somebody else.
@@ -402,6 +411,17 @@ mod tests {
 
     fn times_s() -> Vec<f64> {
         (0..FRAMES).map(|f| f as f64 / 100.0).collect()
+    }
+
+    /// With few cameras, two rays are the rule; with many, a stretch that only two ever saw is strange.
+    #[test]
+    fn how_long_two_rays_may_meet_by_chance_goes_by_how_rare_they_are() {
+        let of = |measured: usize, wide: usize| Tracklet { measured, wide, ..Tracklet::starting(0) };
+        let few_cameras = longest_flicker(&[of(1000, 400), of(500, 200), of(4, 0)]);
+        let many_cameras = longest_flicker(&[of(1000, 960), of(500, 470), of(5, 0)]);
+        assert_eq!((few_cameras, many_cameras), (FLICKER, 6));
+        assert!(!of(5, 0).is_flicker(few_cameras) && of(5, 0).is_flicker(many_cameras));
+        assert!(!of(5, 2).is_flicker(many_cameras), "a third ray is no chance");
     }
 
     #[test]
