@@ -152,7 +152,7 @@ impl Crowd {
         let interval_s = self.clock.interval_s();
         for marker in &mut self.markers {
             let mut visibility = std::mem::take(&mut marker.visibility);
-            visibility.take_in(|camera| marker.has_dot_of(camera, frame), frame.by_camera.len(), usual);
+            visibility.take_in(&marker.has_dots_of(frame), usual);
             visibility.predict(interval_s, usual);
             marker.visibility = visibility;
         }

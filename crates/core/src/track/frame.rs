@@ -41,7 +41,7 @@ impl<'a> Frame<'a> {
         let mut frame = Self {
             dots,
             sights: Vec::with_capacity(dots.len()),
-            by_camera: vec![Vec::new(); cameras],
+            by_camera: (0..cameras).map(|_| Vec::with_capacity(2 * dots.len() / cameras.max(1))).collect(),
             widest_sigma_px: vec![0.0; cameras],
             ln_alone: Vec::with_capacity(dots.len()),
             free: vec![true; dots.len()],
@@ -49,6 +49,7 @@ impl<'a> Frame<'a> {
             flow: Vec::new(),
             borrowed: Vec::new(),
         };
+        let ln_clutter: Vec<f64> = (0..cameras).map(|camera| clutter(scene, camera).ln()).collect();
         for (index, dot) in dots.iter().enumerate() {
             let camera = &scene.rig.cameras[dot.camera];
             let pixel = Vector2::from(dot.pixel);
@@ -62,7 +63,7 @@ impl<'a> Frame<'a> {
                 frame.free[index] = false;
             }
             frame.sights.push(sight);
-            frame.ln_alone.push(ln_alone(scene, dot.camera, pixel));
+            frame.ln_alone.push(ln_alone(scene, dot.camera, pixel).unwrap_or(ln_clutter[dot.camera]));
         }
         for own in &mut frame.by_camera {
             own.sort_unstable_by(|&a, &b| {
@@ -125,15 +126,22 @@ impl<'a> Frame<'a> {
     }
 }
 
-fn ln_alone(scene: &Scene, camera: usize, pixel: Vector2<f64>) -> f64 {
+/// Density of a camera's dots that belong to nothing known and to no reflection (px⁻²).
+fn clutter(scene: &Scene, camera: usize) -> f64 {
     let [width, height] = scene.rig.cameras[camera].size_px;
-    let mut density = (scene.model.clutter[camera] + UNKNOWN_PER_IMAGE) / (width * height);
+    (scene.model.clutter[camera] + UNKNOWN_PER_IMAGE) / (width * height)
+}
+
+/// Logarithm of the density (px⁻²) of dots that belong to nothing known, beside a reflection; `None` where there is none.
+fn ln_alone(scene: &Scene, camera: usize, pixel: Vector2<f64>) -> Option<f64> {
+    let mut reflected = None;
     for reflection in &scene.model.reflections[camera] {
         let variance = reflection.spread_px * reflection.spread_px;
         let squared = (pixel - Vector2::from(reflection.pixel)).norm_squared() / variance;
         if squared < BESIDE {
-            density += reflection.rate * (-0.5 * squared).exp() / (std::f64::consts::TAU * variance);
+            let density = reflection.rate * (-0.5 * squared).exp() / (std::f64::consts::TAU * variance);
+            *reflected.get_or_insert_with(|| clutter(scene, camera)) += density;
         }
     }
-    density.ln()
+    reflected.map(f64::ln)
 }

@@ -109,8 +109,13 @@ fn agreeing(
     let information = covariance.try_inverse()?;
     let mut dots = dots.to_vec();
     loop {
-        let rays: Vec<Cow<Sight>> = dots.iter().map(|&d| frame.ray(d, &prior.motion, &prior.point)).collect();
-        let sights: Vec<&Sight> = rays.iter().map(AsRef::as_ref).collect();
+        let moved: Vec<Cow<Sight>>;
+        let sights: Vec<&Sight> = if frame.lag_s.is_empty() {
+            dots.iter().map(|&d| frame.sight(d)).collect()
+        } else {
+            moved = dots.iter().map(|&d| frame.ray(d, &prior.motion, &prior.point)).collect();
+            moved.iter().map(AsRef::as_ref).collect()
+        };
         let (point, cost) = solve(scene, &sights, prior, &information)?;
         if cost <= gates.0[dots.len()] {
             return Some(Located::at(scene, frame, dots, point, &prior.motion));

@@ -199,6 +199,13 @@ impl Marker {
         self.located.as_ref().is_some_and(|l| l.dots.iter().any(|&d| frame.sight(d).camera == camera))
     }
 
+    /// The same for every camera.
+    pub fn has_dots_of(&self, frame: &Frame) -> Vec<bool> {
+        let mut has = vec![false; frame.by_camera.len()];
+        self.located.iter().flat_map(|l| &l.dots).for_each(|&d| has[frame.sight(d).camera] = true);
+        has
+    }
+
     /// Takes possession of its dots.
     pub fn claim(&self, free: &mut [bool]) {
         self.mark(free, false);

@@ -24,8 +24,10 @@ mod exchange;
 pub mod filter;
 mod flow;
 mod frame;
+mod innovation;
 mod locate;
 mod marker;
+mod pairs;
 pub mod paper;
 pub mod points;
 mod reclaim;
@@ -33,7 +35,9 @@ mod rematch;
 pub mod repair;
 mod share;
 mod start;
+mod strips;
 mod view;
+mod views;
 mod visibility;
 
 pub use clock::{Moment, TimeError};
@@ -352,12 +356,9 @@ impl Tracker {
     /// Assigns free dots to some of the markers and checks that each marker's dots meet.
     fn assign(&mut self, frame: &mut Frame, which: impl Fn(&Marker) -> bool) {
         let priors: Vec<Option<Prior>> = self.crowd.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
-        let mut found = match_cameras(&self.scene, frame, &priors, |_, _| true);
-        found.sort_unstable();
-        for own in found.chunk_by(|a, b| a.0 == b.0) {
-            let marker = &mut self.crowd.markers[own[0].0];
-            let dots: Vec<u32> = own.iter().map(|pair| pair.1).collect();
-            marker.located = locate(&self.scene, &self.gates, frame, &dots, &marker.prior);
+        let found = match_cameras(&self.scene, frame, &priors, |_, _| true);
+        for (marker, dots) in self.crowd.markers.iter_mut().zip(&found).filter(|(_, dots)| !dots.is_empty()) {
+            marker.located = locate(&self.scene, &self.gates, frame, dots, &marker.prior);
             marker.claim(&mut frame.free);
         }
     }
@@ -366,11 +367,8 @@ impl Tracker {
     fn regate(&mut self, frame: &mut Frame) {
         let priors: Vec<Option<Prior>> =
             self.crowd.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
-        let lacks = |camera: usize, who: usize| !self.crowd.markers[who].has_dot_of(camera, frame);
-        let mut more: Vec<Vec<u32>> = vec![Vec::new(); priors.len()];
-        for (who, dot) in match_cameras(&self.scene, frame, &priors, lacks) {
-            more[who].push(dot);
-        }
+        let seen: Vec<Vec<bool>> = self.crowd.markers.iter().map(|m| m.has_dots_of(frame)).collect();
+        let more = match_cameras(&self.scene, frame, &priors, |camera, who| !seen[who][camera]);
         for (marker, more) in self.crowd.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
             let mut dots = more;
             dots.extend(marker.located.iter().flat_map(|l| &l.dots));
@@ -530,12 +528,24 @@ fn dots_of(group: &Group) -> Vec<u32> {
 
 /// Indices of the dots by camera and place.
 fn place_order(dots: &[Dot]) -> Vec<u32> {
-    let mut keys: Vec<(usize, [u64; 3], u32)> = Vec::with_capacity(dots.len());
-    for (index, dot) in dots.iter().enumerate() {
-        keys.push((dot.camera, [dot.pixel[0], dot.pixel[1], dot.sigma].map(ascending), index as u32));
+    let cameras = dots.iter().map(|d| d.camera + 1).max().unwrap_or(0);
+    let mut starts = vec![0; cameras + 1];
+    dots.iter().for_each(|d| starts[d.camera + 1] += 1);
+    for camera in 0..cameras {
+        starts[camera + 1] += starts[camera];
     }
-    keys.sort_unstable();
-    keys.into_iter().map(|(_, _, index)| index).collect()
+    let (mut keys, mut next) = (vec![(0_u64, 0_u32); dots.len()], starts.clone());
+    for (index, dot) in dots.iter().enumerate() {
+        keys[next[dot.camera]] = (ascending(dot.pixel[0]), index as u32);
+        next[dot.camera] += 1;
+    }
+    let rest = |index: u32| [dots[index as usize].pixel[1], dots[index as usize].sigma].map(ascending);
+    for own in starts.windows(2) {
+        let by_place =
+            |a: &(u64, u32), b: &(u64, u32)| a.0.cmp(&b.0).then_with(|| rest(a.1).cmp(&rest(b.1))).then(a.1.cmp(&b.1));
+        keys[own[0]..own[1]].sort_unstable_by(by_place);
+    }
+    keys.into_iter().map(|(_, index)| index).collect()
 }
 
 /// Bits that ascend as the numbers do (IEEE 754 total order).

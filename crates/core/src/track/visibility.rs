@@ -28,11 +28,11 @@ impl Visibility {
         self.0.iter_mut().for_each(|p| *p = in_sight + kept * (*p - in_sight));
     }
 
-    /// Takes in which cameras have a dot of the marker.
-    pub fn take_in(&mut self, has_dot: impl Fn(usize) -> bool, cameras: usize, usual: f64) {
-        self.0.resize(cameras, (usual / DETECTED).clamp(IN_SIGHT[0], IN_SIGHT[1]));
-        for (camera, p) in self.0.iter_mut().enumerate() {
-            let [seen, hidden] = if has_dot(camera) { [DETECTED, MISTAKEN] } else { [1.0 - DETECTED, 1.0 - MISTAKEN] };
+    /// Takes in, by camera, whether it has a dot of the marker.
+    pub fn take_in(&mut self, has_dot: &[bool], usual: f64) {
+        self.0.resize(has_dot.len(), (usual / DETECTED).clamp(IN_SIGHT[0], IN_SIGHT[1]));
+        for (p, has_dot) in self.0.iter_mut().zip(has_dot) {
+            let [seen, hidden] = if *has_dot { [DETECTED, MISTAKEN] } else { [1.0 - DETECTED, 1.0 - MISTAKEN] };
             *p = *p * seen / (*p * seen + (1.0 - *p) * hidden);
         }
     }
@@ -45,7 +45,7 @@ mod tests {
     fn after(frames: usize, interval_s: f64, has_dot: impl Fn(usize, usize) -> bool) -> Visibility {
         let mut visibility = Visibility::default();
         for frame in 0..frames {
-            visibility.take_in(|camera| has_dot(frame, camera), 2, 0.6);
+            visibility.take_in(&[has_dot(frame, 0), has_dot(frame, 1)], 0.6);
             visibility.predict(interval_s, 0.6);
         }
         visibility

@@ -173,8 +173,7 @@ pub(super) fn found_on_free_dots(
     frame: &Frame,
     priors: &[Option<Prior>],
 ) -> Vec<(usize, Located)> {
-    let mut found = vec![Vec::new(); priors.len()];
-    match_cameras(scene, frame, priors, |_, _| true).iter().for_each(|&(who, dot)| found[who].push(dot));
+    let found = match_cameras(scene, frame, priors, |_, _| true);
     let located = |(who, mut dots): (usize, Vec<u32>)| {
         dots.sort_unstable();
         let prior = priors[who].as_ref().filter(|_| dots.len() >= 2)?;
