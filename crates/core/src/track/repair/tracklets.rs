@@ -416,7 +416,7 @@ mod tests {
     /// With few cameras, two rays are the rule; with many, a stretch that only two ever saw is strange.
     #[test]
     fn how_long_two_rays_may_meet_by_chance_goes_by_how_rare_they_are() {
-        let of = |measured: usize, wide: usize| Tracklet { measured, wide, ..Tracklet::starting(0) };
+        let of = |measured: usize, wide: usize| Tracklet { wide, measured, ..Tracklet::starting(0) };
         let few_cameras = longest_flicker(&[of(1000, 400), of(500, 200), of(4, 0)]);
         let many_cameras = longest_flicker(&[of(1000, 960), of(500, 470), of(5, 0)]);
         assert_eq!((few_cameras, many_cameras), (FLICKER, 6));
