@@ -144,6 +144,10 @@ impl Filter {
                 block[(i, i)] += variance * noise;
             }
         }
+        // What rounding adds to the difference of a block and its transpose would grow from update to update.
+        for block in [PP, VV, AA] {
+            self.blocks[block] = 0.5 * (self.blocks[block] + self.blocks[block].transpose());
+        }
     }
 
     /// Admits that the marker was pushed: where it is now is open by a distance (m), how fast it goes by its speed's spread.
@@ -242,6 +246,26 @@ mod tests {
             assert_relative_eq!(state(&filter), s, epsilon = 1e-9);
             assert_relative_eq!(full(&filter), p, epsilon = 1e-9, max_relative = 1e-7);
         }
+    }
+
+    /// Left to itself, the difference of the covariance and its transpose grows wherever one ray follows a marker for long.
+    #[test]
+    fn the_covariance_stays_symmetric() {
+        let mut filter = Filter::new(Vector3::zeros(), &(Matrix3::identity() * 1e-4), 20.0);
+        let step = Step::new(0.01);
+        let mut worst: f64 = 0.0;
+        for k in 0..20_000 {
+            filter.predict(&step, if k % 40 < 20 { 60.0 } else { 5.0 });
+            let prior = *filter.covariance();
+            worst = worst.max((prior - prior.transpose()).norm() / prior.norm());
+            // One camera sees it across its ray only, and that from another side by and by; then two do.
+            let ray = Vector3::new((1e-3 * f64::from(k)).sin(), (1e-3 * f64::from(k)).cos(), 0.3).normalize();
+            let along = if k % 25 < 20 { 0.0 } else { 1e7 };
+            let information = (Matrix3::identity() - ray * ray.transpose()) * 1e7 + ray * ray.transpose() * along;
+            let after = (prior.try_inverse().expect("it is regular") + information).try_inverse().expect("it is, too");
+            filter.update(Vector3::zeros(), &(0.5 * (after + after.transpose())));
+        }
+        assert!(worst < 1e-12, "{worst}");
     }
 
     #[test]
