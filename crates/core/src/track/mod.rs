@@ -2,8 +2,8 @@
 //!
 //! A frame goes through these stages ([`Tracker::push`]):
 //! 1. **predict** (`filter.rs`; hidden markers also from their neighbours, `body/`);
-//! 2. **confirm**: per camera, dots are assigned to the predictions (`view.rs`); per marker, its dots must meet in one
-//!    point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for. A marker that a camera
+//! 2. **confirm**: per camera, dots are assigned to the predictions (`view.rs`: seen in `views.rs`, near dots from `strips.rs`,
+//!    their likelihood in `innovation.rs`, the best pairs in `pairs.rs`); per marker, its dots must meet in one point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for. A marker that a camera
 //!    saw before takes its dot back from one that it did not (`reclaim.rs`);
 //! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
 //! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
