@@ -1,8 +1,7 @@
 //! How likely dots are where they are, as markers': the likelihood of their innovations, for several at a time.
 
 use super::strips::Free;
-use super::views::{View, Views};
-use wide::f64x4;
+use super::views::{BLOCK, Lane, View, Views};
 
 /// How often a marker is pushed.
 pub const LN_PUSHED: f64 = -4.0;
@@ -11,8 +10,6 @@ pub const LN_NOT_PUSHED: f64 = -0.018_5;
 pub const GATE: f64 = 18.4;
 /// ln 2π.
 const LN_TAU: f64 = 1.837_877_066_409_345_3;
-
-const BLOCK: usize = 4;
 
 /// Logarithms of the likelihoods (px⁻²) of dots' offsets from where markers are seen, for pairs of a view and a dot, before
 /// what dots there mean that belong to nothing known: of calm and pushed the larger one; −∞ outside the gate.
@@ -24,7 +21,7 @@ pub fn ln_innovations(views: &Views, free: &Free, pairs: &[(u32, u32)]) -> Vec<f
             let (who, dot) = pairs[k.min(pairs.len() - 1)];
             (views.at(who as usize), dot as usize)
         });
-        let lane = |of: &dyn Fn(&View, usize) -> f64| f64x4::from(four.each_ref().map(|(view, dot)| of(view, *dot)));
+        let lane = |of: &dyn Fn(&View, usize) -> f64| Lane::from(four.each_ref().map(|(view, dot)| of(view, *dot)));
         let variance = lane(&|_, dot| free.dots[dot].sigma_px * free.dots[dot].sigma_px);
         let offset = [0, 1].map(|i| lane(&|view, dot| free.pixels[dot][i] - view.pixel[i]));
         let own = [0, 1, 2].map(|i| lane(&|view, _| view.own[i]));
@@ -32,18 +29,18 @@ pub fn ln_innovations(views: &Views, free: &Free, pairs: &[(u32, u32)]) -> Vec<f
         let pushed = [0, 1, 2].map(|i| calm[i] + lane(&|view, _| view.push[i]));
         let (_, calm) = density(&calm, &offset);
         let (far, pushed) = density(&pushed, &offset);
-        let larger = (calm + f64x4::splat(LN_NOT_PUSHED)).max(pushed + f64x4::splat(LN_PUSHED));
-        ln.extend(far.simd_le(f64x4::splat(GATE)).bitselect(larger, f64x4::splat(f64::NEG_INFINITY)).to_array());
+        let larger = (calm + Lane::splat(LN_NOT_PUSHED)).max(pushed + Lane::splat(LN_PUSHED));
+        ln.extend(far.simd_le(Lane::splat(GATE)).bitselect(larger, Lane::splat(f64::NEG_INFINITY)).to_array());
     }
     ln.truncate(pairs.len());
     ln
 }
 
 /// Squared offset in standard deviations, and the logarithm of the centred normal density there.
-fn density([xx, xy, yy]: &[f64x4; 3], [x, y]: &[f64x4; 2]) -> (f64x4, f64x4) {
-    let determinant = (*xx * *yy - *xy * *xy).max(f64x4::splat(1e-300));
-    let squared = (*yy * *x * *x - *xy * *x * *y * f64x4::splat(2.0) + *xx * *y * *y) / determinant;
-    (squared, f64x4::splat(-LN_TAU) - (determinant.ln() + squared) * f64x4::splat(0.5))
+fn density([xx, xy, yy]: &[Lane; 3], [x, y]: &[Lane; 2]) -> (Lane, Lane) {
+    let determinant = (*xx * *yy - *xy * *xy).max(Lane::splat(1e-300));
+    let squared = (*yy * *x * *x - *xy * *x * *y * Lane::splat(2.0) + *xx * *y * *y) / determinant;
+    (squared, Lane::splat(-LN_TAU) - (determinant.ln() + squared) * Lane::splat(0.5))
 }
 
 #[cfg(test)]
@@ -63,8 +60,8 @@ mod tests {
     fn several_densities_are_what_each_is() {
         let spreads = [[0.3, 0.1, 0.4], [25.0, -7.0, 4.0], [1e-3, 0.0, 2e-3], [300.0, 120.0, 90.0]];
         let offsets = [[0.1, -0.7], [3.0, 2.0], [0.0, 0.0], [-40.0, 11.0]];
-        let covariance = [0, 1, 2].map(|i| f64x4::from(spreads.map(|s: [f64; 3]| s[i])));
-        let offset = [0, 1].map(|i| f64x4::from(offsets.map(|o: [f64; 2]| o[i])));
+        let covariance = [0, 1, 2].map(|i| Lane::from(spreads.map(|s: [f64; 3]| s[i])));
+        let offset = [0, 1].map(|i| Lane::from(offsets.map(|o: [f64; 2]| o[i])));
         let (squared, ln) = density(&covariance, &offset);
         for k in 0..4 {
             let (expected_squared, expected_ln) = oracle(spreads[k], offsets[k]);

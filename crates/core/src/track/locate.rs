@@ -6,7 +6,7 @@
 
 use super::flow::Motion;
 use super::frame::Frame;
-use super::view::Prior;
+use super::matching::Prior;
 use super::{Kind, Sample};
 use crate::chi2;
 use crate::correspond::scene::Scene;
@@ -109,6 +109,7 @@ fn agreeing(
     let information = covariance.try_inverse()?;
     let mut dots = dots.to_vec();
     loop {
+        // Where nothing moves, no room is made for rays of its own.
         let moved: Vec<Cow<Sight>>;
         let sights: Vec<&Sight> = if frame.lag_s.is_empty() {
             dots.iter().map(|&d| frame.sight(d)).collect()

@@ -5,7 +5,7 @@ use super::filter::{Filter, Step};
 use super::flow::Motion;
 use super::frame::Frame;
 use super::locate::{Located, posterior};
-use super::view::Prior;
+use super::matching::Prior;
 use super::visibility::Visibility;
 use super::{Kind, Sample};
 use nalgebra::{Matrix3, Vector3};

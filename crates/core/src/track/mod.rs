@@ -2,8 +2,9 @@
 //!
 //! A frame goes through these stages ([`Tracker::push`]):
 //! 1. **predict** (`filter.rs`; hidden markers also from their neighbours, `body/`);
-//! 2. **confirm**: per camera, dots are assigned to the predictions (`view.rs`: seen in `views.rs`, near dots from `strips.rs`,
-//!    their likelihood in `innovation.rs`, the best pairs in `pairs.rs`); per marker, its dots must meet in one point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for. A marker that a camera
+//! 2. **confirm**: per camera, dots are assigned to the predictions (`matching.rs`: seen in `views.rs`, near dots from
+//!    `strips.rs`, their likelihood in `innovation.rs`, the best pairs in `pairs.rs`); per marker, its dots must meet in
+//!    one point (`locate.rs`). Lee et al. 2000, §3: what is known already need not be searched for. A marker that a camera
 //!    saw before takes its dot back from one that it did not (`reclaim.rs`);
 //! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
 //! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
@@ -27,6 +28,7 @@ mod frame;
 mod innovation;
 mod locate;
 mod marker;
+mod matching;
 mod pairs;
 pub mod paper;
 pub mod points;
@@ -36,7 +38,6 @@ pub mod repair;
 mod share;
 mod start;
 mod strips;
-mod view;
 mod views;
 mod visibility;
 
@@ -57,10 +58,10 @@ use flow::{Flow, Motion, at_moment, motion_of};
 use frame::Frame;
 use locate::{LocateGates, Located, locate};
 use marker::Marker;
+use matching::{Prior, match_cameras};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use share::Merging;
 use thiserror::Error;
-use view::{Prior, match_cameras};
 
 /// How a position came about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,7 +7,7 @@ use super::Tracker;
 use super::frame::Frame;
 use super::locate::{Located, locate};
 use super::marker::Marker;
-use super::view::{Prior, innovation};
+use super::matching::{Prior, innovation};
 
 /// A camera sees a marker, or does not, with at least this probability where that decides whose a dot is.
 const SURE: f64 = 0.7;

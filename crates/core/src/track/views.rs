@@ -1,7 +1,7 @@
 //! Predicted markers as one camera sees them, computed for several at a time.
 
 use super::innovation::GATE;
-use super::view::Prior;
+use super::matching::Prior;
 use crate::camera::{Camera, Lens};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use wide::f64x4;
@@ -12,8 +12,8 @@ const WIDER_GATE: f64 = GATE * (1.0 + 1e-6);
 const NEAREST: f64 = 1e-9;
 
 /// One number of each marker of a block.
-type Lane = f64x4;
-const BLOCK: usize = 4;
+pub type Lane = f64x4;
+pub const BLOCK: usize = 4;
 
 /// The markers that are asked for.
 pub struct Asked<'a> {

@@ -7,7 +7,7 @@ use super::super::filter::{Filter, Step};
 use super::super::flow::Motion;
 use super::super::frame::Frame;
 use super::super::locate::{LocateGates, Located, locate};
-use super::super::view::{Prior, match_cameras};
+use super::super::matching::{Prior, match_cameras};
 use super::super::{Kind, Sample, Shot, Tracked};
 use super::scene_of;
 use crate::correspond::scene::Scene;

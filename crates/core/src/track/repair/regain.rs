@@ -4,7 +4,7 @@
 use super::super::flow::Motion;
 use super::super::frame::Frame;
 use super::super::locate::LocateGates;
-use super::super::view::Prior;
+use super::super::matching::Prior;
 use super::super::{Kind, Sample, Shot, Tracked};
 use super::extend::found_on_free_dots;
 use super::scene_of;
