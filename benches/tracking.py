@@ -30,6 +30,7 @@ FIGURES = (
     "missing_per_frame",
     "per_marker",
     "id_switches",
+    "id_switches_in_contact",
     "sigma_ratio",
     "idf1",
     "us",
@@ -57,11 +58,12 @@ def simulated(name: str, scene: str, changes: dict[str, object], seeds: list[int
 
 def line(name: str, rows: list[list[float]]) -> str:
     """One printed row."""
-    ghosts, missing, per_marker, switches, ratio, idf1, us, searched = np.mean(rows, axis=0)
+    ghosts, missing, per_marker, switches, touching, ratio, idf1, us, searched = np.mean(rows, axis=0)
     by_seed = "/".join(f"{row[FIGURES.index('id_switches')]:.0f}" for row in rows)
     return (
         f"{name:40} ghosts {ghosts:.4f}  missing {missing:.4f}  trajectories/marker {per_marker:.3f}  "
-        f"switches {switches:.1f} ({by_seed})  IDF1 {idf1:.4f}  (error/sigma)² {ratio:.2f}  {us:.0f} µs/frame  "
+        f"switches {switches:.1f} ({by_seed}), {touching:.1f} in contacts  IDF1 {idf1:.4f}  "
+        f"(error/sigma)² {ratio:.2f}  {us:.0f} µs/frame  "
         f"searched {100 * searched:.1f} %"
     )
 

@@ -479,7 +479,9 @@ def _scores(result: dict[str, Any]) -> str:
     lines.append(f"error             median {error['median']:.3f}, rms {error['rms']:.3f}, 95 % {error['p95']:.3f} mm")
     lines.append(f"(error/sigma)²    {result['sigma_ratio']:.3f} on average")
     if "trajectories" in result:
-        lines.append(f"trajectories      {result['trajectories']}, {result['id_switches']} identity switches")
+        happened, touching = result["id_switches"], result["id_switches_in_contact"]
+        of_those = f", {touching} of them in a contact" if happened else ""
+        lines.append(f"trajectories      {result['trajectories']}, {happened} identity switches{of_those}")
         lines.append(f"MOTA, IDF1        {result['mota']:.4f}, {result['idf1']:.4f}")
         lines.append(f"coverage          {100 * result['coverage']:.2f} % of all samples, measured or predicted")
     return "\n".join(lines)

@@ -11,7 +11,6 @@ which some row, measured or predicted, stands.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from markerloom.observations import Observations, match
 from markerloom.points import MEASURED, Points
 from markerloom.reconstruct import statistics
 from markerloom.rig import Rig
+from markerloom.switches import Matches, switches, switches_in_contact
 
 OPTIONAL_MM = 40.0
 SAME_CENTROID_PX = 4.0
@@ -118,7 +118,7 @@ class _Tally:
     ratios: list[float] = field(default_factory=list)
     confidence: list[tuple[float, bool]] = field(default_factory=list)
     per_frame: list[tuple[int, int, int]] = field(default_factory=list)
-    tracks_of: dict[str, list[int]] = field(default_factory=dict)
+    matches: Matches = field(default_factory=dict)
     overlap: dict[tuple[str, int], int] = field(default_factory=dict)
     scored_points: int = 0
     covered: int = 0
@@ -155,7 +155,7 @@ def evaluate(
     last: dict[str, int] = {}
     for frame in np.union1d(truth.points.frames, np.unique(truth.points.frame)).tolist():
         last = _frame(tally, points, truth, frame, tolerance_mm, last, groups)
-    return _result(tally, points, tolerance_mm, groups is not None)
+    return _result(tally, points, truth, tolerance_mm, groups is not None)
 
 
 def _in_range(frame: NDArray[np.int64], low: int | None, high: int | None) -> NDArray[np.bool_]:
@@ -234,7 +234,7 @@ def _frame(
         tally.confidence.append((float(points.confidence[row]), True))
     tally.confidence += [(float(points.confidence[measured[j]]), False) for j in ghosts]
     for i, j in pairs:
-        tally.tracks_of.setdefault(labels[i], []).append(int(points.track[measured[j]]))
+        tally.matches.setdefault(labels[i], []).append((frame, int(points.track[measured[j]])))
     tally.scored_points += len(measured) - len(excused) - sum(not required[i] for i, _ in pairs)
     if points.tracked:
         near = np.argwhere((distance <= tolerance) & required[:, None])
@@ -324,11 +324,7 @@ def expected_calibration_error(confidence: list[tuple[float, bool]]) -> float:
     return float(total / len(known))
 
 
-def _switches(tracks: list[int]) -> int:
-    return sum(a != b for a, b in pairwise(tracks))
-
-
-def _result(tally: _Tally, points: Points, tolerance: float, has_sets: bool) -> dict[str, Any]:
+def _result(tally: _Tally, points: Points, truth: Truth, tolerance: float, has_sets: bool) -> dict[str, Any]:
     frames, required = max(tally.frames, 1), max(tally.required, 1)
     measured_tracks = np.unique(points.track[points.kind == MEASURED])
     result: dict[str, Any] = {
@@ -346,10 +342,11 @@ def _result(tally: _Tally, points: Points, tolerance: float, has_sets: bool) -> 
     if has_sets:
         result["accuracy_set"] = tally.exact_sets / required
     if points.tracked:
-        fragments = [len(set(t)) for t in tally.tracks_of.values()]
+        fragments = [len({track for _, track in of}) for of in tally.matches.values()]
         result["trajectories"] = len(measured_tracks)
         result["fragments_per_marker"] = float(np.mean(fragments)) if fragments else 0.0
-        result["id_switches"] = sum(_switches(t) for t in tally.tracks_of.values())
+        result["id_switches"] = len(switches(tally.matches))
+        result["id_switches_in_contact"] = switches_in_contact(tally.matches, truth, tolerance)
         errors = tally.required - tally.hits + tally.ghosts + result["id_switches"]
         result["mota"] = 1.0 - errors / required
         result["motp_mm"] = float(np.mean(tally.errors)) if tally.errors else float("nan")
