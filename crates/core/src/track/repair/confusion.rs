@@ -1,9 +1,10 @@
 //! Two near markers taken for each other, found out frame by frame.
 //!
-//! Distances tell two markers of one part hardly apart when they sit near each other; their places in the frame of their
-//! neighbours do (`body/regression.rs`, with the whole take as history). If both are measured, an exchange turns the
-//! vector between them round; if one is, it is nearer to the one's place or the other's. Which of them is which changes
-//! rarely, and is found for all frames at once (Viterbi 1967): a change costs what motion says against it.
+//! Their places in the frame of their neighbours tell two markers apart (`body/regression.rs`, with the whole take as
+//! history): if both are measured, an exchange turns the vector between them round; if one is, it is nearer to the one's
+//! place or the other's. So do their distances from a third marker of the part (`thirds`), and where neither does, at the
+//! end of a limb, the direction from the one to the other (`direction`). Which of them is which changes rarely, and is
+//! found for all frames at once (Viterbi 1967): a change costs what motion says against it (`onward`).
 //!
 //! A history in which they are exchanged half of the time expects both of them half-way. Then it is turned first: in the
 //! frame of the neighbours the vector between them lies along one line, and all that point against it are turned round.
@@ -14,7 +15,10 @@ use super::super::body::links::Links;
 use super::super::body::regression::{Fit, NEIGHBOURS, centered};
 use super::super::body::rotation::align;
 use super::carry::{learned_links, snapshots, spread, tracks_of};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use super::direction::{Direction, directions, line_along};
+use super::onward::{Onward, Past, Places};
+use super::thirds::{self, Third, thirds};
+use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -27,14 +31,12 @@ const FRAMES_OF_REFERENCE: usize = 8;
 /// almost all frames.
 const ALIGNED: f64 = 0.8;
 const CLEAR: f64 = 0.95;
-/// Evidence of one frame at most (nats): with both measured; with one, for each second.
-const BOTH: f64 = 4.0;
-const ONE_PER_S: f64 = 20.0;
-/// What a change costs where one of them is hidden (nats), and the spread of the motion between two frames (m), which says
-/// so much at most.
-const CHANGE: f64 = 3.0;
-const MOTION: f64 = 0.004;
-const MOST_OF_MOTION: f64 = 60.0;
+/// Evidence of one frame at most (nats). Where one of the two is hidden, what its neighbours say of the other is off alike
+/// for a while: it counts anew after so long (s).
+const MOST: f64 = 4.0;
+const ANEW_S: f64 = 0.2;
+/// Evidence for as they are (nats in a second): what is known so far is right most of the time.
+const AS_IS_PER_S: f64 = 5.0;
 /// Evidence that changes need in all (nats), and rounds.
 const WORTH_CHANGING: f64 = 5.0;
 const ROUNDS: usize = 3;
@@ -84,6 +86,8 @@ pub(super) fn exchange(frame: &mut Tracked, [a, b]: [u32; 2]) {
 struct Take<'a> {
     times_s: &'a [f64],
     places: Vec<Snapshot>,
+    /// Variance of each place (m² per axis; 0 where there is none).
+    noise: Vec<Vec<f64>>,
     links: Links,
     slots: usize,
 }
@@ -102,10 +106,52 @@ struct Look {
     expected: Option<[Vector3<f64>; 2]>,
 }
 
+/// What tells two markers apart.
+struct Told {
+    looks: Vec<Look>,
+    /// What the places are off those in the frame of their neighbours (m²), where that tells them apart.
+    errors: Option<[f64; 3]>,
+    thirds: Vec<Third>,
+    directions: Vec<Direction>,
+}
+
+impl Told {
+    /// Evidence that the two are exchanged in a frame (nats), some time after the one before (s).
+    fn exchanged(&mut self, pair: [usize; 2], (index, now): (usize, &Snapshot), dt_s: f64) -> f64 {
+        let look = &self.looks[index];
+        let by_frame = self.errors.map(|errors| by_frame(look, errors));
+        let by_thirds = thirds::exchanged(&self.thirds, now, look.places);
+        let by_direction = self.directions.iter_mut().find_map(|d| d.exchanged(pair, now));
+        look.bounded([by_frame, by_thirds, by_direction].into_iter().flatten().sum(), dt_s)
+    }
+}
+
+impl Look {
+    fn of(pair: [usize; 2], now: &Snapshot) -> Self {
+        Self { places: pair.map(|p| now[p]), expected: None }
+    }
+
+    /// What one frame says of evidence (nats), some time after the last one that showed one of the two (s).
+    fn bounded(&self, nats: f64, dt_s: f64) -> f64 {
+        let both = self.places.iter().all(Option::is_some);
+        nats.clamp(-MOST, MOST) * if both { 1.0 } else { (dt_s / ANEW_S).min(1.0) }
+    }
+}
+
 impl<'a> Take<'a> {
     fn new(frames: &[Tracked], tracks: &[u32], times_s: &'a [f64]) -> Self {
         let places = snapshots(frames, tracks);
-        Self { times_s, places, links: learned_links(frames, tracks), slots: tracks.len() }
+        let noise_of = |frame: &Tracked| {
+            let mut noise = vec![0.0; tracks.len()];
+            for sample in &frame.samples {
+                if let Ok(slot) = tracks.binary_search(&sample.track) {
+                    noise[slot] = sample.covariance.trace() / 3.0;
+                }
+            }
+            noise
+        };
+        let noise = frames.iter().map(noise_of).collect();
+        Self { times_s, places, noise, links: learned_links(frames, tracks), slots: tracks.len() }
     }
 
     /// Pairs of markers that are near each other.
@@ -119,56 +165,64 @@ impl<'a> Take<'a> {
         (0..self.slots).flat_map(|a| (a + 1..self.slots).map(move |b| [a, b])).filter(near).collect()
     }
 
-    /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
-    fn changed(&self, pair: [usize; 2]) -> Option<(f64, Vec<bool>)> {
-        let told = [History::AsItIs, History::Turned].into_iter().find_map(|history| {
+    /// What tells the two apart, if anything does.
+    fn told(&self, pair: [usize; 2]) -> Told {
+        let thirds = thirds(&spread(&self.places), pair);
+        let by_frame = [History::AsItIs, History::Turned].into_iter().find_map(|history| {
             let looks = self.looks(pair, history);
             errors(&looks).map(|errors| (looks, errors))
         });
-        let (looks, errors) = told?;
-        // Evidence for "as they are" and "exchanged", and for each frame whether the frame before was exchanged.
-        let (mut ways, mut from): ([f64; 2], Vec<[bool; 2]>) = ([0.0; 2], Vec::new());
-        let mut as_is = 0.0;
-        let mut last = Look::default();
+        if let Some((looks, errors)) = by_frame {
+            return Told { looks, errors: Some(errors), thirds, directions: Vec::new() };
+        }
+        let looks = self.places.iter().map(|now| Look::of(pair, now)).collect();
+        let directions = if thirds.is_empty() { directions(&spread(&self.places), pair) } else { Vec::new() };
+        Told { looks, errors: None, thirds, directions }
+    }
+
+    /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
+    fn changed(&self, pair: [usize; 2]) -> Option<(f64, Vec<bool>)> {
+        let place = |p: usize, (now, noise): (&Snapshot, &Vec<f64>)| now[p].map(|point| (point, noise[p]));
+        let frames = self.places.iter().zip(&self.noise);
+        let places: Vec<Places> = frames.map(|frame| pair.map(|p| place(p, frame))).collect();
+        let onward = Onward::learned(&places, self.times_s)?;
+        let (mut told, mut past) = (self.told(pair), Past::default());
         let mut last_s = self.times_s.first().copied().unwrap_or(0.0);
-        for (look, &time_s) in looks.iter().zip(self.times_s) {
-            let change = change(&last, look);
-            let evidence = 0.5 * evidence(look, errors, time_s - last_s);
-            from.push([ways[1] - change > ways[0], ways[1] > ways[0] - change]);
-            ways = [ways[0].max(ways[1] - change) - evidence, ways[1].max(ways[0] - change) + evidence];
-            as_is -= evidence;
-            if look.places.iter().any(Option::is_some) {
-                last = *look;
+        let one = |(index, (seen, &time_s)): (usize, (&Places, &f64))| {
+            let (change, dt_s) = (onward.change(&past, seen, time_s), time_s - last_s);
+            let as_they_are = AS_IS_PER_S * dt_s.min(ANEW_S);
+            let evidence = told.exchanged(pair, (index, &self.places[index]), dt_s) - as_they_are;
+            onward.take_in(&mut past, (index, seen, time_s));
+            if seen.iter().any(Option::is_some) {
+                last_s = time_s;
             }
-            last_s = time_s;
-        }
-        let mut exchanged = ways[1] > ways[0];
-        let gain = ways[0].max(ways[1]) - as_is;
-        let mut changed = vec![false; looks.len()];
-        for (frame, from) in from.iter().enumerate().rev() {
-            changed[frame] = exchanged;
-            exchanged = from[usize::from(exchanged)];
-        }
+            (evidence, change)
+        };
+        let (gain, changed) = likeliest(places.iter().zip(self.times_s).enumerate().map(one));
         let some = changed.iter().any(|c| *c) && !changed.iter().all(|c| *c);
         (some && gain > WORTH_CHANGING).then_some((gain, changed))
     }
 
     fn looks(&self, pair: [usize; 2], way: History) -> Vec<Look> {
+        let (history, sets) = (spread(&self.places), self.sets(pair));
+        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|set| self.fits(pair, set, &history, way)).collect();
+        let look = |now: &Snapshot| {
+            let fit = fits.iter_mut().find(|f| f[0].can_use(now));
+            let expected = fit.and_then(|[a, b]| Some([a.predict(now, 0.0)?.point, b.predict(now, 0.0)?.point]));
+            Look { expected, ..Look::of(pair, now) }
+        };
+        self.places.iter().map(look).collect()
+    }
+
+    /// The sets of neighbours that most frames have.
+    fn sets(&self, pair: [usize; 2]) -> Vec<Vec<usize>> {
         let mut count: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
         for now in self.places.iter().filter(|s| pair.iter().any(|&p| s[p].is_some())) {
             *count.entry(self.neighbours(pair, now)).or_default() += 1;
         }
         let mut sets: Vec<(usize, Vec<usize>)> = count.into_iter().map(|(set, n)| (n, set)).collect();
         sets.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-        sets.truncate(FRAMES_OF_REFERENCE);
-        let history = spread(&self.places);
-        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|(_, set)| self.fits(pair, set, &history, way)).collect();
-        let look = |now: &Snapshot| {
-            let fit = fits.iter_mut().find(|f| f[0].can_use(now));
-            let expected = fit.and_then(|[a, b]| Some([a.predict(now, 0.0)?.point, b.predict(now, 0.0)?.point]));
-            Look { places: pair.map(|p| now[p]), expected }
-        };
-        self.places.iter().map(look).collect()
+        sets.into_iter().take(FRAMES_OF_REFERENCE).map(|(_, set)| set).collect()
     }
 
     /// The visible markers that place the pair best.
@@ -190,6 +244,26 @@ impl<'a> Take<'a> {
     }
 }
 
+/// The likeliest frames to exchange the two in, by the evidence for it in each and what a change before it costs (nats), and
+/// how much likelier that is than no exchange (Viterbi 1967).
+fn likeliest(frames: impl Iterator<Item = (f64, f64)>) -> (f64, Vec<bool>) {
+    // Of "as they are" and "exchanged", and for each frame whether the frame before was exchanged.
+    let (mut ways, mut from, mut as_is) = ([0.0_f64; 2], Vec::new(), 0.0);
+    for (evidence, change) in frames {
+        from.push([ways[1] - change > ways[0], ways[1] > ways[0] - change]);
+        let half = 0.5 * evidence;
+        ways = [ways[0].max(ways[1] - change) - half, ways[1].max(ways[0] - change) + half];
+        as_is -= half;
+    }
+    let mut exchanged = ways[1] > ways[0];
+    let mut changed = vec![false; from.len()];
+    for (frame, from) in from.iter().enumerate().rev() {
+        changed[frame] = exchanged;
+        exchanged = from[usize::from(exchanged)];
+    }
+    (ways[0].max(ways[1]) - as_is, changed)
+}
+
 /// The snapshots that hold both markers and their neighbours, each pair so that the vector between them points the way that
 /// most of them do in the neighbours' frame.
 fn turned([a, b]: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Vec<Snapshot> {
@@ -204,11 +278,7 @@ fn turned([a, b]: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Ve
         rotation = align(&points, reference.get_or_insert_with(|| points.clone()), &weights, rotation);
         found.push((snapshot, rotation * (q - p)));
     }
-    let moments: Matrix3<f64> = found.iter().map(|(_, v)| v * v.transpose()).sum();
-    let eigen = moments.symmetric_eigen();
-    let line = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-    let along = found.iter().filter(|(_, v)| v.dot(&line) > 0.0).count();
-    let line = if 2 * along >= found.len() { line } else { -line };
+    let line = line_along(&found.iter().map(|(_, v)| *v).collect::<Vec<_>>());
     let turn = |(snapshot, v): (&Snapshot, Vector3<f64>)| {
         let mut turned = snapshot.clone();
         if v.dot(&line) < 0.0 {
@@ -247,8 +317,8 @@ fn errors(looks: &[Look]) -> Option<[f64; 3]> {
     Some([median(one)?, median(other)?, median(both).unwrap_or(f64::INFINITY)])
 }
 
-/// Evidence of one frame for the exchange (nats).
-fn evidence(look: &Look, [one, other, both]: [f64; 3], dt_s: f64) -> f64 {
+/// Evidence for the exchange of one frame (nats), by the two's places in the frame of their neighbours.
+fn by_frame(look: &Look, [one, other, both]: [f64; 3]) -> f64 {
     let Some([a, b]) = look.expected else { return 0.0 };
     let cost = |p: Vector3<f64>, q: Vector3<f64>, variance: f64| {
         let squared = (p - q).norm_squared() / variance;
@@ -258,21 +328,11 @@ fn evidence(look: &Look, [one, other, both]: [f64; 3], dt_s: f64) -> f64 {
     match look.places {
         [Some(p), Some(q)] => {
             let (between, expected) = (q - p, b - a);
-            (cost(between, expected, both) - cost(-between, expected, both)).clamp(-BOTH, BOTH)
+            cost(between, expected, both) - cost(-between, expected, both)
         }
-        [Some(p), None] => (cost(p, a, one) - cost(p, b, other)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
-        [None, Some(q)] => (cost(q, b, other) - cost(q, a, one)).clamp(-1.0, 1.0) * (ONE_PER_S * dt_s).min(1.0),
+        [Some(p), None] => cost(p, a, one) - cost(p, b, other),
+        [None, Some(q)] => cost(q, b, other) - cost(q, a, one),
         [None, None] => 0.0,
-    }
-}
-
-/// What it costs that the two are exchanged from one look to the next (nats); negative where motion says that they have been.
-fn change(last: &Look, look: &Look) -> f64 {
-    match (last.places, look.places) {
-        ([Some(p), Some(q)], [Some(r), Some(s)]) => {
-            ((q - p).dot(&(s - r)) / (MOTION * MOTION)).clamp(-MOST_OF_MOTION, MOST_OF_MOTION)
-        }
-        _ => CHANGE,
     }
 }
 
@@ -355,5 +415,30 @@ mod tests {
         let mut frames = truth.clone();
         untangle(&mut frames, &times_s);
         assert_eq!(points(&frames), points(&truth));
+    }
+
+    /// Every way to exchange them is the oracle.
+    #[test]
+    fn the_likeliest_frames_to_exchange_are_found() {
+        const FRAMES: usize = 9;
+        for case in 0..50_usize {
+            let number = |n: usize, k: usize| ((case * 7 + n * 31 + k * 13) % 17) as f64 - 8.0;
+            let frames: Vec<(f64, f64)> = (0..FRAMES).map(|f| (number(f, 1), number(f, 5))).collect();
+            let worth = |way: usize| -> f64 {
+                let exchanged = |f: usize| way >> f & 1 == 1;
+                let evidence = |f: usize| if exchanged(f) { frames[f].0 } else { 0.0 };
+                let change = |f: usize| {
+                    let before = f.checked_sub(1).is_some_and(exchanged);
+                    if f > 0 && before != exchanged(f) { frames[f].1 } else { 0.0 }
+                };
+                (0..FRAMES).map(|f| evidence(f) - change(f)).sum()
+            };
+            let best = (0..1 << FRAMES).map(worth).fold(f64::MIN, f64::max);
+            // Before the first frame nothing can have changed.
+            let given = frames.iter().enumerate().map(|(f, &(e, c))| (e, if f == 0 { 0.0 } else { c }));
+            let (gain, changed) = likeliest(given);
+            let way = changed.iter().enumerate().map(|(f, c)| usize::from(*c) << f).sum();
+            assert!((gain - best).abs() < 1e-9 && (worth(way) - best).abs() < 1e-9, "case {case}: {gain} {best}");
+        }
     }
 }

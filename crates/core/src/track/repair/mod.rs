@@ -6,13 +6,14 @@
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
 //!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
-//! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours.
-//!    What active markers told of themselves stands above all that (`told`), read with all cameras together where their
+//! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, their
+//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`). What active markers told of themselves stands above all that (`told`), read with all cameras together where their
 //!    brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
-//!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`).
+//!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`), and looked at once more for
+//!    confusion.
 
 mod absorb;
 mod ahead;
@@ -21,14 +22,17 @@ mod bridge;
 pub mod carry;
 mod close;
 mod confusion;
+mod direction;
 mod ends;
 mod exchange;
 pub mod extend;
 pub mod join;
 pub mod joints;
+mod onward;
 mod regain;
 mod relabel;
 mod sides;
+mod thirds;
 mod told;
 pub mod tracklets;
 mod twins;
@@ -81,6 +85,7 @@ pub fn repair(
     let regained = regain(scenes, shots, times_s, &mut repaired);
     if measure_close(scenes, shots, times_s, &mut repaired) || regained {
         repaired.iter_mut().for_each(|f| f.samples.retain(|s| s.kind == Kind::Measured));
+        untangle(&mut repaired, times_s);
         carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     }
     repaired
