@@ -14,6 +14,8 @@ const CLEAR: f64 = 5.0;
 const ALMOST_ALL: f64 = 0.95;
 /// Spread of what is off its median by so much.
 const SPREAD: f64 = 1.4826;
+/// Degrees of freedom of what distances are off.
+const FREEDOM: f64 = 5.0;
 /// Least spread of a distance (m).
 const LEAST_SPREAD: f64 = 0.001;
 
@@ -74,7 +76,11 @@ impl Third {
 
     /// Evidence for the exchange, by the distances of the two as they are.
     fn exchanged(&self, now: [Option<f64>; 2]) -> f64 {
-        let off = |d: f64, expected: f64| 0.5 * ((d - expected) / self.spread).powi(2);
+        // Student's t: a place that is off for once says little, wherever it is.
+        let off = |d: f64, expected: f64| {
+            let squared = ((d - expected) / self.spread).powi(2);
+            0.5 * (FREEDOM + 1.0) * (squared / FREEDOM).ln_1p()
+        };
         let by = |k: usize| now[k].map_or(0.0, |d| off(d, self.distances[k]) - off(d, self.distances[1 - k]));
         by(0) + by(1)
     }
