@@ -6,7 +6,7 @@
 use super::super::body::Snapshot;
 use super::super::body::regression::centered;
 use super::super::body::rotation::align;
-use super::close::median;
+use super::close::{MEDIAN, median};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Frames in which the two and their neighbours must have been seen.
@@ -16,35 +16,33 @@ const CANDIDATES: usize = 5;
 /// The direction is told if it lies within this much of a line (cosine) in almost all frames, whichever way it points.
 const ALONG: f64 = 0.5;
 const ALMOST_ALL: f64 = 0.97;
-/// What is known of a median of squared distances in three dimensions (variances).
-const MEDIAN: f64 = 2.366;
+
+/// The frame of some neighbours and the middle of the two: as they were when it was first seen.
+struct Bearings {
+    neighbours: [usize; 3],
+    reference: Option<Vec<Vector3<f64>>>,
+    rotation: Rotation3<f64>,
+}
 
 /// The direction in the frame of some neighbours.
 pub(super) struct Direction {
-    neighbours: Vec<usize>,
-    reference: Vec<Vector3<f64>>,
-    rotation: Rotation3<f64>,
+    bearings: Bearings,
     /// From the one to the other (m), and its variance (m² per axis).
     vector: Vector3<f64>,
     variance: f64,
 }
 
-/// The vector from the one to the other, turned into the frame in which the neighbours and the middle of the two are as in
-/// the reference.
-fn seen(
-    [a, b]: [usize; 2],
-    neighbours: &[usize],
-    now: &Snapshot,
-    reference: &mut Option<Vec<Vector3<f64>>>,
-    rotation: &mut Rotation3<f64>,
-) -> Option<Vector3<f64>> {
-    let points: Option<Vec<Vector3<f64>>> = neighbours.iter().map(|&n| now[n]).collect();
-    let (p, q, mut points) = (now[a]?, now[b]?, points?);
-    points.push(0.5 * (p + q));
-    let (_, points) = centered(&points);
-    let weights = vec![1.0; points.len()];
-    *rotation = align(&points, reference.get_or_insert_with(|| points.clone()), &weights, *rotation);
-    Some(*rotation * (q - p))
+impl Bearings {
+    /// The vector from the one to the other, turned into this frame.
+    fn vector(&mut self, [a, b]: [usize; 2], now: &Snapshot) -> Option<Vector3<f64>> {
+        let points: Option<Vec<Vector3<f64>>> = self.neighbours.iter().map(|&n| now[n]).collect();
+        let (p, q, mut points) = (now[a]?, now[b]?, points?);
+        points.push(0.5 * (p + q));
+        let (_, points) = centered(&points);
+        let reference = self.reference.get_or_insert_with(|| points.clone());
+        self.rotation = align(&points, reference, &vec![1.0; points.len()], self.rotation);
+        Some(self.rotation * (q - p))
+    }
 }
 
 /// The line along which most vectors lie, pointing the way most of them do.
@@ -72,15 +70,14 @@ pub(super) fn directions(places: &[&Snapshot], pair: [usize; 2]) -> Vec<Directio
     let best: Vec<usize> = nearest.into_iter().take(CANDIDATES).map(|n| n.1).collect();
     let n = best.len();
     let sets = (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k])));
-    sets.filter_map(|set| Direction::learned(places, pair, &set.map(|i| best[i]))).collect()
+    sets.filter_map(|set| Direction::learned(places, pair, set.map(|i| best[i]))).collect()
 }
 
 impl Direction {
     /// From frames of the take; `None` if these neighbours do not tell it.
-    fn learned(places: &[&Snapshot], pair: [usize; 2], neighbours: &[usize]) -> Option<Self> {
-        let (mut reference, mut rotation) = (None, Rotation3::identity());
-        let mut seen = |s: &&Snapshot| seen(pair, neighbours, s, &mut reference, &mut rotation);
-        let mut vectors: Vec<Vector3<f64>> = places.iter().filter_map(&mut seen).collect();
+    fn learned(places: &[&Snapshot], pair: [usize; 2], neighbours: [usize; 3]) -> Option<Self> {
+        let mut bearings = Bearings { neighbours, reference: None, rotation: Rotation3::identity() };
+        let mut vectors: Vec<Vector3<f64>> = places.iter().filter_map(|now| bearings.vector(pair, now)).collect();
         if vectors.len() < SHARED {
             return None;
         }
@@ -92,15 +89,12 @@ impl Direction {
         vectors.iter_mut().filter(|v| v.dot(&line) < 0.0).for_each(|v| *v = -*v);
         let vector = vectors.iter().sum::<Vector3<f64>>() / vectors.len() as f64;
         let variance = median(vectors.iter().map(|v| (v - vector).norm_squared()).collect())? / MEDIAN;
-        Some(Self { neighbours: neighbours.to_vec(), reference: reference?, rotation, vector, variance })
+        Some(Self { bearings, vector, variance })
     }
 
     /// Evidence that the two are exchanged in a frame (nats); `None` where something is hidden.
     pub(super) fn exchanged(&mut self, pair: [usize; 2], now: &Snapshot) -> Option<f64> {
-        let mut reference = Some(std::mem::take(&mut self.reference));
-        let vector = seen(pair, &self.neighbours, now, &mut reference, &mut self.rotation);
-        self.reference = reference.unwrap_or_default();
-        Some(-2.0 * vector?.dot(&self.vector) / self.variance)
+        Some(-2.0 * self.bearings.vector(pair, now)?.dot(&self.vector) / self.variance)
     }
 }
 

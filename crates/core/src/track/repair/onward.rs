@@ -4,7 +4,7 @@
 //! them was or is hidden, each place is held against where motion leads: from the one's own last places, from the other's,
 //! or, where a marker was hidden for long, to anywhere as far from the other as the two are apart.
 
-use super::close::{Habit, median};
+use super::close::{Habit, MEDIAN, median};
 use nalgebra::Vector3;
 
 /// Where a marker was measured (m), and the variance of that (m² per axis).
@@ -27,8 +27,6 @@ const OWN: f64 = 2.0;
 const OTHERS: f64 = 1.0;
 /// Frames from which it is learned how the two move.
 const LEAST: usize = 20;
-/// What is known of a median of squared distances in three dimensions (variances).
-const MEDIAN: f64 = 2.366;
 /// Where motion leads is known as long as its spread is less than this part of the distance between the two.
 const FRESH: f64 = 0.5;
 

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 /// Frames in which the three must have been seen.
 const SHARED: usize = 20;
-/// The difference of the two distances is this many of its spreads, and more than this part of it in almost all frames.
+/// The difference of the two distances is this many of their spreads, and almost all are one of the two.
 const CLEAR: f64 = 5.0;
 const ALMOST_ALL: f64 = 0.95;
 /// Spread of what is off its median by so much.

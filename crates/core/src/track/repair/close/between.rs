@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 const LAG_S: f64 = 0.05;
 const FASTER: f64 = 4.0;
 /// What is known of a median of squared distances in three dimensions (variances).
-const MEDIAN: f64 = 2.366;
+pub const MEDIAN: f64 = 2.366;
 /// Slowest and fastest turning (radians in a second, as a random walk).
 const TURNING: [f64; 2] = [0.3, 10.0];
 /// Least spread of the length (m), and as a part of it.

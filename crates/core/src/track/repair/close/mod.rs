@@ -17,7 +17,7 @@ use super::super::{Kind, Sample, Shot, Tracked};
 use super::confusion::exchange;
 use super::scene_of;
 use crate::correspond::scene::Scene;
-pub(super) use between::{Habit, median};
+pub(super) use between::{Habit, MEDIAN, median};
 use look::{Given, Look, looks};
 use nalgebra::Vector3;
 use part::{Anew, parts, turned};
