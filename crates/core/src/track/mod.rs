@@ -33,6 +33,7 @@ mod pairs;
 pub mod paper;
 pub mod points;
 mod reclaim;
+mod regroup;
 mod rematch;
 pub mod repair;
 mod share;
@@ -300,6 +301,7 @@ impl Tracker {
             let usual = self.usual_dots.unwrap_or(dots.len() as f64);
             self.usual_dots = Some(usual + USUAL * (dots.len() as f64 - usual));
         }
+        self.crowd.regroup();
         self.crowd.exchange();
         self.crowd.settle();
         self.crowd.decide_contacts();

@@ -73,6 +73,7 @@ impl PointTracker {
         self.assign(points, &mut free, |m| m.confirmed && !m.is_found());
         self.assign(points, &mut free, |m| !m.confirmed);
         self.rematch(points, &mut free);
+        self.crowd.regroup();
         self.crowd.exchange();
         self.crowd.settle();
         self.crowd.decide_contacts();
