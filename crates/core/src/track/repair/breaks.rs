@@ -6,6 +6,7 @@
 //! (`join.rs`).
 
 use super::join::{Chain, Scene};
+use super::slides::slides;
 use super::tracklets::{Cut, Tracklet};
 use crate::track::Tracked;
 use rayon::prelude::*;
@@ -15,19 +16,43 @@ const LEAST: usize = 12;
 /// Frames after a gap that are looked at.
 const LOOK: usize = 100;
 
-/// Tracklets cut where their links to others break; `None` if they hold everywhere. The others are chains, or single
-/// tracklets as long as there are none.
-pub(super) fn cut_at_breaks(
-    (tracklets, owner): &Cut,
+/// Tracklets cut where their links to the others break; `None` if they hold everywhere.
+pub(super) fn cut_at_breaks(cut: &Cut, frames: &[Tracked], times_s: &[f64]) -> Option<Cut> {
+    let single = |t: usize| Chain::of(&cut.0, vec![t]);
+    let chains: Vec<Chain> = (0..cut.0.len()).map(single).collect();
+    cut_at(cut, &breaks(&Scene::new(&cut.0, times_s, &chains, &[])), frames).map(|(cut, _)| cut)
+}
+
+/// The same once there are chains, which tell more: also where a tracklet slid from one's marker to another's. With what is
+/// left of the chains when the parts of those that were cut are out.
+pub(super) fn cut_at_slides(
+    cut: &Cut,
     chains: &[Chain],
     frames: &[Tracked],
     times_s: &[f64],
-) -> Option<Cut> {
-    let breaks = breaks(tracklets, chains, times_s);
+) -> Option<(Cut, Vec<Chain>)> {
+    let scene = Scene::new(&cut.0, times_s, chains, &[]);
+    let mut found = breaks(&scene);
+    for ((found, slides), one) in found.iter_mut().zip(slides(&scene)).zip(&cut.0) {
+        let apart = |a: usize, b: usize| one.within(a.min(b)..a.max(b)).measured >= LEAST;
+        let new: Vec<usize> = slides.into_iter().filter(|&f| found.iter().all(|&b| apart(b, f))).collect();
+        found.extend(new);
+        found.sort_unstable();
+    }
+    let (anew, numbers) = cut_at(cut, &found, frames)?;
+    let whole = |chain: &Chain| {
+        let left = chain.tracklets.iter().filter(|&&t| found[t].is_empty()).map(|&t| numbers[t]);
+        Chain::of(&anew.0, left.collect())
+    };
+    let left = chains.iter().map(whole).filter(|c| !c.tracklets.is_empty()).collect();
+    Some((anew, left))
+}
+
+/// Tracklets cut at some frames of each, and the number of each one's first part; `None` if there are none.
+fn cut_at((tracklets, owner): &Cut, breaks: &[Vec<usize>], frames: &[Tracked]) -> Option<(Cut, Vec<usize>)> {
     if breaks.iter().all(Vec::is_empty) {
         return None;
     }
-    // The number of each tracklet's first part.
     let mut numbers = vec![0];
     breaks.iter().for_each(|b| numbers.push(numbers[numbers.len() - 1] + 1 + b.len()));
     let mut parts: Vec<Option<Tracklet>> = vec![None; numbers[breaks.len()]];
@@ -43,22 +68,22 @@ pub(super) fn cut_at_breaks(
             *owner = Some(part);
         }
     }
-    Some((parts.into_iter().flatten().collect(), owner))
+    Some(((parts.into_iter().flatten().collect(), owner), numbers))
 }
 
-/// Each tracklet as a chain.
-pub(super) fn singles(tracklets: &[Tracklet]) -> Vec<Chain> {
-    (0..tracklets.len()).map(|t| Chain::of(tracklets, vec![t])).collect()
-}
-
-/// For each tracklet the frames from which on it is another marker.
-fn breaks(tracklets: &[Tracklet], chains: &[Chain], times_s: &[f64]) -> Vec<Vec<usize>> {
-    let scene = Scene::new(tracklets, times_s, chains, &[]);
-    let mut chain_of = vec![usize::MAX; tracklets.len()];
-    for (c, chain) in chains.iter().enumerate() {
+/// The chain of each tracklet; none has no place in any.
+pub(super) fn chain_of(scene: &Scene) -> Vec<usize> {
+    let mut chain_of = vec![usize::MAX; scene.tracklets.len()];
+    for (c, chain) in scene.chains.iter().enumerate() {
         chain.tracklets.iter().for_each(|&t| chain_of[t] = c);
     }
-    (0..tracklets.len()).into_par_iter().map(|t| scene.breaks_of(&tracklets[t], chain_of[t])).collect()
+    chain_of
+}
+
+/// For each tracklet the frames from which on its links to others are another marker's.
+fn breaks(scene: &Scene) -> Vec<Vec<usize>> {
+    let chain_of = chain_of(scene);
+    (0..chain_of.len()).into_par_iter().map(|t| scene.breaks_of(&scene.tracklets[t], chain_of[t])).collect()
 }
 
 impl Scene<'_> {
@@ -115,7 +140,8 @@ mod tests {
         let mut tracklets: Vec<Tracklet> = [of_body(0), of_body(1)].concat();
         tracklets.push(Tracklet::of_places(0, (0..FRAMES).map(at).collect()));
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
-        breaks(&tracklets, &singles(&tracklets), &times_s)
+        let chains: Vec<Chain> = (0..tracklets.len()).map(|t| Chain::of(&tracklets, vec![t])).collect();
+        breaks(&Scene::new(&tracklets, &times_s, &chains, &[]))
     }
 
     #[test]

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
 /// Acceleration that a limb may undergo unseen (m/s²), and the fastest marker (m/s).
-const ACCELERATION: f64 = 25.0;
+pub(super) const ACCELERATION: f64 = 25.0;
 const FASTEST: f64 = 9.0;
 /// Time from which a velocity is taken (s).
 const RUN_UP_S: f64 = 0.03;
@@ -90,7 +90,7 @@ impl Scene<'_> {
     }
 
     /// Velocity at the end or the beginning of a tracklet (m/s), over up to [`RUN_UP_S`] or two frames.
-    fn velocity(&self, tracklet: &Tracklet, at_end: bool) -> Option<Vector3<f64>> {
+    pub(super) fn velocity(&self, tracklet: &Tracklet, at_end: bool) -> Option<Vector3<f64>> {
         let here = if at_end { tracklet.last() } else { tracklet.first };
         let mut best = None;
         for step in 1..tracklet.places.len() {

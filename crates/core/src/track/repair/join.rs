@@ -127,14 +127,17 @@ impl Link {
     }
 }
 
-/// Joins tracklets into chains. Flickers come last, and those that nothing speaks for are left out. `told`: how much is done
-/// (0–1), every now and then.
-pub fn join(tracklets: &[Tracklet], times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
+/// Joins tracklets into chains, beginning with those that are known. Flickers come last, and those that nothing speaks for
+/// are left out. `told`: how much is done (0–1), every now and then.
+pub fn join(tracklets: &[Tracklet], known: Vec<Chain>, times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
     let single = |i: usize| Chain::of(tracklets, vec![i]);
     let longest = longest_flicker(tracklets);
+    let mut is_single = vec![true; tracklets.len()];
+    known.iter().flat_map(|c| &c.tracklets).for_each(|&t| is_single[t] = false);
     let (flickers, others): (Vec<usize>, Vec<usize>) =
-        (0..tracklets.len()).partition(|&i| tracklets[i].is_flicker(longest));
-    let mut chains: Vec<Chain> = others.into_iter().map(single).collect();
+        (0..tracklets.len()).filter(|&i| is_single[i]).partition(|&i| tracklets[i].is_flicker(longest));
+    let mut chains = known;
+    chains.extend(others.into_iter().map(single));
     for (round, enough) in ENOUGH.into_iter().enumerate() {
         told(JOINED * round as f64 / ENOUGH.len() as f64);
         let joints = joints_of(tracklets, &chains, times_s.len());
@@ -371,7 +374,7 @@ impl Scene<'_> {
     }
 
     /// Length of a frame (s).
-    fn frame_s(&self) -> f64 {
+    pub(super) fn frame_s(&self) -> f64 {
         let n = self.times_s.len();
         if n < 2 { 0.01 } else { (self.times_s[n - 1] - self.times_s[0]) / (n - 1) as f64 }
     }

@@ -1,14 +1,16 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong, by where motion leads
-//!    (`ahead`, `ends`) and where links break (`breaks`, once more when there are chains); pieces that follow another one's
-//!    marker go or become one with it (`twins`).
+//!    (`ahead`, `ends`) and where links break (`breaks`); once there are chains, also where one slid from one chain's marker
+//!    to another's (`slides`), and its parts are joined anew. Pieces that follow another one's marker go or become one with
+//!    it (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
 //!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, their
-//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`). What active markers told of themselves stands above all that (`told`), read with all cameras together where their
-//!    brightness is known.
+//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`). What active
+//!    markers told of themselves stands above all that (`told`), read with all cameras together where their brightness is
+//!    known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
@@ -32,6 +34,7 @@ mod onward;
 mod regain;
 mod relabel;
 mod sides;
+mod slides;
 mod thirds;
 mod told;
 pub mod tracklets;
@@ -39,7 +42,7 @@ mod twins;
 
 use super::{Kind, Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
-use breaks::{cut_at_breaks, singles};
+use breaks::{cut_at_breaks, cut_at_slides};
 use carry::carry;
 use close::measure_close;
 use confusion::untangle;
@@ -111,12 +114,12 @@ fn identify(
     if let Some(shots) = shots {
         cut = without_twins(cut, frames, shots);
     }
-    cut = cut_at_breaks(&cut, &singles(&cut.0), frames, times_s).unwrap_or(cut);
-    let mut chains = join(&cut.0, times_s, &|part| told(0.5 * part));
+    cut = cut_at_breaks(&cut, frames, times_s).unwrap_or(cut);
+    let mut chains = join(&cut.0, Vec::new(), times_s, &|part| told(0.5 * part));
     // Those that are joined tell more.
-    if let Some(anew) = cut_at_breaks(&cut, &chains, frames, times_s) {
+    if let Some((anew, left)) = cut_at_slides(&cut, &chains, frames, times_s) {
         cut = anew;
-        chains = join(&cut.0, times_s, &|part| told(0.5 + 0.5 * part));
+        chains = join(&cut.0, left, times_s, &|part| told(0.5 + 0.5 * part));
     }
     let (tracklets, owner) = cut;
     let identity = identities(&tracklets, &chains);
