@@ -17,7 +17,7 @@ const REACH: f64 = 3.0;
 const LEAST: usize = 3;
 const MOST: usize = 4;
 /// Evidence needed to hand out anew (nats).
-const ENOUGH: f64 = 4.0;
+const ENOUGH: f64 = 12.0;
 /// Turning of a vector from one frame to the next that is nothing special, as a part of its length.
 const USUAL_TURN: f64 = 0.1;
 /// Least spread of a link (m).

@@ -17,7 +17,7 @@ const SPREAD: f64 = 1.4826;
 /// Degrees of freedom of what distances are off.
 const FREEDOM: f64 = 5.0;
 /// Least spread of a distance (m).
-const LEAST_SPREAD: f64 = 0.0002;
+const LEAST_SPREAD: f64 = 0.001;
 
 /// A third marker that tells two others apart.
 pub(super) struct Third {
