@@ -37,6 +37,12 @@ FIGURES = (
     "searched",
 )
 METHODS = ("default", "paper")
+# Markers of a foot (mm), 45 to 66 mm apart.
+FEET = (
+    [[0, 0, 0], [60, 0, 10], [20, 40, 0]],
+    [[0, 0, 0], [50, 20, 0], [10, 45, 15]],
+    [[0, 0, 0], [65, 10, 5], [25, 45, 0]],
+)
 
 
 def simulated(name: str, scene: str, changes: dict[str, object], seeds: list[int]) -> str:
@@ -68,24 +74,28 @@ def line(name: str, rows: list[list[float]]) -> str:
     )
 
 
+def turning_foot(markers: list[list[int]], rate_hz: float) -> ml.Points:
+    """A foot that stands for a second, then goes forth and back at 2.5 m/s; each turn takes 0.08 s, at 60 m/s²."""
+    fine_s = np.arange(0.0, 4.0, 1e-3)
+    speed = np.clip(60.0 * (np.abs(((fine_s - 0.8) % 0.8) - 0.4) - 0.2), -2.5, 2.5) * (fine_s > 1.0)
+    time_s = np.arange(0.0, 4.0, 1.0 / rate_hz)
+    along_mm = 1000.0 * np.interp(time_s, fine_s, np.cumsum(speed) * 1e-3)
+    foot = np.stack([along_mm, 0.0 * time_s, 100.0 + 0.0 * time_s], axis=1)
+    body = [[0, 150, 500], [200, 150, 500], [0, -150, 500], [300, -250, 900], [-200, 100, 1000]]
+    layout = np.array(markers, float)
+    places = np.concatenate([foot[:, None] + layout, np.broadcast_to(body, (len(foot), 5, 3))], axis=1)
+    rng = np.random.default_rng(0)
+    frame = np.repeat(np.arange(len(foot)), 8)
+    xyz_mm = (places + rng.normal(0.0, 0.3, places.shape)).reshape(-1, 3)
+    track = np.tile(np.arange(8), len(foot))
+    return replace(ml.Points.of(frame, track, xyz_mm, rate_hz=rate_hz), label=track.astype(str))
+
+
 def turns() -> None:
     """A foot that reverses its direction sharply (figure 13), simulated, and the fastest turns of a real recording."""
     for rate_hz in (60.0, 30.0):
-        fine_s = np.arange(0.0, 4.0, 1e-3)
-        # The foot stands for a second, then goes forth and back at 2.5 m/s; each turn takes 0.08 s, at 60 m/s².
-        speed = np.clip(60.0 * (np.abs(((fine_s - 0.8) % 0.8) - 0.4) - 0.2), -2.5, 2.5) * (fine_s > 1.0)
-        time_s = np.arange(0.0, 4.0, 1.0 / rate_hz)
-        along_mm = 1000.0 * np.interp(time_s, fine_s, np.cumsum(speed) * 1e-3)
-        foot = np.stack([along_mm, 0.0 * time_s, 100.0 + 0.0 * time_s], axis=1)
-        body = [[0, 150, 500], [200, 150, 500], [0, -150, 500], [300, -250, 900], [-200, 100, 1000]]
-        layout = np.array([[0, 0, 0], [60, 0, 10], [20, 40, 0]], float)
-        places = np.concatenate([foot[:, None] + layout, np.broadcast_to(body, (len(foot), 5, 3))], axis=1)
-        rng = np.random.default_rng(0)
-        frame = np.repeat(np.arange(len(foot)), 8)
-        xyz_mm = (places + rng.normal(0.0, 0.3, places.shape)).reshape(-1, 3)
-        track = np.tile(np.arange(8), len(foot))
-        take = replace(ml.Points.of(frame, track, xyz_mm, rate_hz=rate_hz), label=track.astype(str))
-        print(turn_line(f"foot at 2.5 m/s, turns at 60 m/s², {rate_hz:g} Hz", take))
+        for number, foot in enumerate(FEET):
+            print(turn_line(f"foot {number} at 2.5 m/s, turns at 60 m/s², {rate_hz:g} Hz", turning_foot(foot, rate_hz)))
     points = ml.read_points(DATA / "labelling" / "cmu-85_02.c3d")
     for step in (1, 2, 4):
         kept = points.keep((points.frame % step == 0) & (points.kind == 0))

@@ -65,9 +65,7 @@ impl Scene<'_> {
         let about = self.frames_in(ABOUT_S);
         let likeliest = |k: usize| {
             // Where it was hidden, that is when.
-            if one.at(starts[k] - 1).is_none() {
-                return None;
-            }
+            one.at(starts[k] - 1)?;
             let within = starts[k].saturating_sub(about).max(starts[k - 1] + 1)..(starts[k] + about).min(bound(k + 1));
             self.change_between(one, chain, [whose[k - 1], whose[k]].map(|c| (c, profiles[c].as_slice())), within)
         };
@@ -279,7 +277,7 @@ mod tests {
                 (0..PARTS).map(|k| evidence[k][whose[k]] - change(k)).sum()
             };
             let best = (0..CHAINS.pow(PARTS as u32)).map(|n| worth(&way(n))).fold(f64::MIN, f64::max);
-            assert_eq!(worth(&likeliest(&evidence, &changes)), best, "case {case}");
+            assert!((worth(&likeliest(&evidence, &changes)) - best).abs() < 1e-9, "case {case}");
         }
     }
 }
