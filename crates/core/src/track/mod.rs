@@ -8,8 +8,9 @@
 //!    saw before takes its dot back from one that it did not (`reclaim.rs`);
 //! 3. **search**: markers not found are looked for where their neighbours, now known, say they are;
 //! 4. **fall back**: only dots that nobody owns go through the full correspondence; its points are offered to lost
-//!    markers first (`rematch.rs`; §5.2's global re-matching), what is left may be born;
-//!    Points of a part that turned sharply are handed out anew as its shape says (`regroup.rs`);
+//!    markers first (`rematch.rs`; §5.2's global re-matching), what is left may be born. Points of a part that turned
+//!    sharply are handed out anew as its shape says (`regroup.rs`), those of two near markers as their neighbours do
+//!    (`exchange.rs`);
 //! 5. **settle**: filters and the dynamic model learn, births are confirmed, second trajectories of one marker are given
 //!    up (`duplicate.rs`), the lost are forgotten after a while.
 //!

@@ -40,6 +40,9 @@ impl Crowd {
                 continue;
             }
             let part = self.part_about(one, &at);
+            if part.len() < LEAST {
+                continue;
+            }
             part.iter().for_each(|m| asked[m.index] = true);
             let Some(owners) = self.owners_by_shape(&part) else { continue };
             let mut points: Vec<Option<Located>> = part.iter().map(|m| self.markers[m.index].located.take()).collect();
@@ -73,9 +76,6 @@ impl Crowd {
 
     /// For each member of a part, whose point it should have; `None` where all should keep theirs.
     fn owners_by_shape(&self, part: &[Member]) -> Option<Vec<usize>> {
-        if part.len() < LEAST {
-            return None;
-        }
         let link = |a: &Member, b: &Member| {
             let [a, b] = [a, b].map(|m| self.markers[m.index].slot);
             self.body.links.of(a).iter().find(|l| l.other == b && !l.is_broken())

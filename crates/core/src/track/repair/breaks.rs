@@ -18,8 +18,7 @@ const LOOK: usize = 100;
 
 /// Tracklets cut where their links to the others break; `None` if they hold everywhere.
 pub(super) fn cut_at_breaks(cut: &Cut, frames: &[Tracked], times_s: &[f64]) -> Option<Cut> {
-    let single = |t: usize| Chain::of(&cut.0, vec![t]);
-    let chains: Vec<Chain> = (0..cut.0.len()).map(single).collect();
+    let chains = singles(&cut.0);
     cut_at(cut, &breaks(&Scene::new(&cut.0, times_s, &chains, &[])), frames).map(|(cut, _)| cut)
 }
 
@@ -71,7 +70,12 @@ fn cut_at((tracklets, owner): &Cut, breaks: &[Vec<usize>], frames: &[Tracked]) -
     Some(((parts.into_iter().flatten().collect(), owner), numbers))
 }
 
-/// The chain of each tracklet; none has no place in any.
+/// Each tracklet as a chain.
+fn singles(tracklets: &[Tracklet]) -> Vec<Chain> {
+    (0..tracklets.len()).map(|t| Chain::of(tracklets, vec![t])).collect()
+}
+
+/// The chain of each tracklet; `usize::MAX` for one that is in none.
 pub(super) fn chain_of(scene: &Scene) -> Vec<usize> {
     let mut chain_of = vec![usize::MAX; scene.tracklets.len()];
     for (c, chain) in scene.chains.iter().enumerate() {
@@ -140,7 +144,7 @@ mod tests {
         let mut tracklets: Vec<Tracklet> = [of_body(0), of_body(1)].concat();
         tracklets.push(Tracklet::of_places(0, (0..FRAMES).map(at).collect()));
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
-        let chains: Vec<Chain> = (0..tracklets.len()).map(|t| Chain::of(&tracklets, vec![t])).collect();
+        let chains = singles(&tracklets);
         breaks(&Scene::new(&tracklets, &times_s, &chains, &[]))
     }
 

@@ -51,25 +51,23 @@ impl Scene<'_> {
             return Vec::new();
         }
         let starts: Vec<usize> = std::iter::once(one.first).chain(moments.iter().map(|m| m.frame)).collect();
-        let evidence: Vec<Vec<f64>> = (0..starts.len())
-            .map(|k| {
-                let end = starts.get(k + 1).copied().unwrap_or(one.last() + 1);
-                let own = self.without(chain, tracklet, starts[k]..end);
-                self.evidence_of(&one.within(starts[k]..end), (chain, &own), profiles)
-            })
-            .collect();
+        let end = |k: usize| starts.get(k + 1).copied().unwrap_or(one.last() + 1);
+        let evidence = |k: usize| {
+            let own = self.without(chain, tracklet, starts[k]..end(k));
+            self.evidence_of(&one.within(starts[k]..end(k)), (chain, &own), profiles)
+        };
+        let evidence: Vec<Vec<f64>> = (0..starts.len()).map(evidence).collect();
         let changes: Vec<f64> = std::iter::once(0.0).chain(moments.iter().map(|m| m.change)).collect();
         let whose = likeliest(&evidence, &changes);
-        let bound = |k: usize| starts.get(k).copied().unwrap_or(one.last() + 1);
         let changed = (1..starts.len()).filter(|&k| whose[k] != whose[k - 1]);
         let about = self.frames_in(ABOUT_S);
-        let likeliest = |k: usize| {
+        let sharper = |k: usize| {
             // Where it was hidden, that is when.
             one.at(starts[k] - 1)?;
-            let within = starts[k].saturating_sub(about).max(starts[k - 1] + 1)..(starts[k] + about).min(bound(k + 1));
+            let within = starts[k].saturating_sub(about).max(starts[k - 1] + 1)..(starts[k] + about).min(end(k));
             self.change_between(one, chain, [whose[k - 1], whose[k]].map(|c| (c, profiles[c].as_slice())), within)
         };
-        changed.map(|k| likeliest(k).unwrap_or(starts[k])).collect()
+        changed.map(|k| sharper(k).unwrap_or(starts[k])).collect()
     }
 
     /// The frame within some from which on a tracklet is likelier the other chain's than the one's.
