@@ -2,9 +2,10 @@
 //!
 //! Their places in the frame of their neighbours tell two markers apart (`body/regression.rs`, with the whole take as
 //! history): if both are measured, an exchange turns the vector between them round; if one is, it is nearer to the one's
-//! place or the other's. So do their distances from a third marker of the part (`thirds`), and where neither does, at the
-//! end of a limb, the direction from the one to the other (`direction`). Which of them is which changes rarely, and is
-//! found for all frames at once (Viterbi 1967): a change costs what motion says against it (`onward`).
+//! place or the other's, which is believed as far as it proves right where both are (`alone`). So do their distances from
+//! a third marker of the part (`thirds`), and where neither does, at the end of a limb, the direction from the one to the
+//! other (`direction`). Which of them is which changes rarely, and is found for all frames at once (Viterbi 1967): a change
+//! costs what motion says against it (`onward`).
 //!
 //! A history in which they are exchanged half of the time expects both of them half-way. Then it is turned first: in the
 //! frame of the neighbours the vector between them lies along one line, and all that point against it are turned round.
@@ -14,7 +15,9 @@ use super::super::body::Snapshot;
 use super::super::body::links::Links;
 use super::super::body::regression::{Fit, NEIGHBOURS, centered};
 use super::super::body::rotation::align;
+use super::alone::{Belief, Off};
 use super::carry::{learned_links, snapshots, spread, tracks_of};
+use super::close::median;
 use super::direction::{Direction, directions, line_along};
 use super::onward::{Onward, Past, Places};
 use super::thirds::{self, Third, thirds};
@@ -31,8 +34,8 @@ const FRAMES_OF_REFERENCE: usize = 8;
 /// almost all frames.
 const ALIGNED: f64 = 0.8;
 const CLEAR: f64 = 0.95;
-/// Evidence of one frame at most (nats). Where one of the two is hidden, what its neighbours say of the other is off alike
-/// for a while: it counts anew after so long (s).
+/// Evidence of one frame at most (nats). Where one of the two is hidden and it is not known better (`alone`), what others say
+/// of the one that is seen is off alike for a while: it counts anew after so long (s).
 const MOST: f64 = 4.0;
 const ANEW_S: f64 = 0.2;
 /// Evidence for as they are (nats in a second): what is known so far is right most of the time.
@@ -111,18 +114,30 @@ struct Told {
     looks: Vec<Look>,
     /// What the places are off those in the frame of their neighbours (m²), where that tells them apart.
     errors: Option<[f64; 3]>,
+    /// How far the place of one alone is to be believed there.
+    belief: Option<Belief>,
     thirds: Vec<Third>,
     directions: Vec<Direction>,
 }
 
 impl Told {
-    /// Evidence that the two are exchanged in a frame (nats), some time after the one before (s).
-    fn exchanged(&mut self, pair: [usize; 2], (index, now): (usize, &Snapshot), dt_s: f64) -> f64 {
+    /// Evidence that the two are exchanged in a frame (nats), some time after the one before (s), and after the one of them
+    /// that is seen was alone the last time, if only one is.
+    fn exchanged(
+        &mut self,
+        pair: [usize; 2],
+        (index, now): (usize, &Snapshot),
+        dt_s: f64,
+        alone_s: Option<f64>,
+    ) -> f64 {
         let look = &self.looks[index];
-        let by_frame = self.errors.map(|errors| by_frame(look, errors));
-        let by_thirds = thirds::exchanged(&self.thirds, now, look.places);
-        let by_direction = self.directions.iter_mut().find_map(|d| d.exchanged(pair, now));
-        look.bounded([by_frame, by_thirds, by_direction].into_iter().flatten().sum(), dt_s)
+        let by_frame = self.errors.map_or(0.0, |errors| by_frame(look, errors));
+        let by_thirds = thirds::exchanged(&self.thirds, now, look.places).unwrap_or(0.0);
+        if let (Some(alone_s), Some(belief)) = (alone_s, self.belief) {
+            return belief.bounded(by_frame, alone_s) + look.bounded(by_thirds, dt_s);
+        }
+        let by_direction = self.directions.iter_mut().find_map(|d| d.exchanged(pair, now)).unwrap_or(0.0);
+        look.bounded(by_frame + by_thirds + by_direction, dt_s)
     }
 }
 
@@ -173,11 +188,12 @@ impl<'a> Take<'a> {
             errors(&looks).map(|errors| (looks, errors))
         });
         if let Some((looks, errors)) = by_frame {
-            return Told { looks, errors: Some(errors), thirds, directions: Vec::new() };
+            let belief = self.belief(&looks, errors);
+            return Told { looks, errors: Some(errors), belief, thirds, directions: Vec::new() };
         }
         let looks = self.places.iter().map(|now| Look::of(pair, now)).collect();
         let directions = if thirds.is_empty() { directions(&spread(&self.places), pair) } else { Vec::new() };
-        Told { looks, errors: None, thirds, directions }
+        Told { looks, errors: None, belief: None, thirds, directions }
     }
 
     /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
@@ -188,10 +204,12 @@ impl<'a> Take<'a> {
         let onward = Onward::learned(&places, self.times_s)?;
         let (mut told, mut past) = (self.told(pair), Past::default());
         let mut last_s = self.times_s.first().copied().unwrap_or(0.0);
+        let mut alone_s = [f64::NEG_INFINITY; 2];
         let one = |(index, (seen, &time_s)): (usize, (&Places, &f64))| {
             let (change, dt_s) = (onward.change(&past, seen, time_s), time_s - last_s);
             let as_they_are = AS_IS_PER_S * dt_s.min(ANEW_S);
-            let evidence = told.exchanged(pair, (index, &self.places[index]), dt_s) - as_they_are;
+            let alone = alone(seen).map(|k| time_s - std::mem::replace(&mut alone_s[k], time_s));
+            let evidence = told.exchanged(pair, (index, &self.places[index]), dt_s, alone) - as_they_are;
             onward.take_in(&mut past, (index, seen, time_s));
             if seen.iter().any(Option::is_some) {
                 last_s = time_s;
@@ -212,6 +230,21 @@ impl<'a> Take<'a> {
             Look { expected, ..Look::of(pair, now) }
         };
         self.places.iter().map(look).collect()
+    }
+
+    /// How far the place of one of the two alone is to be believed.
+    fn belief(&self, looks: &[Look], errors: [f64; 3]) -> Option<Belief> {
+        let mut off: [Vec<Off>; 2] = Default::default();
+        for (look, &time_s) in looks.iter().zip(self.times_s) {
+            let (Some([a, b]), [Some(p), Some(q)]) = (look.expected, look.places) else { continue };
+            let places = if by_frame(look, errors) > 0.0 { [q, p] } else { [p, q] };
+            let alone =
+                |k: usize| by_frame(&Look { places: [0, 1].map(|i| (i == k).then_some(places[i])), ..*look }, errors);
+            off[0].push(Off::of(time_s, &places[0], [&a, &b], alone(0)));
+            off[1].push(Off::of(time_s, &places[1], [&b, &a], alone(1)));
+        }
+        let step_s = median(self.times_s.windows(2).map(|w| w[1] - w[0]).collect())?;
+        Belief::learned([&off[0], &off[1]], step_s, LEAST_ERROR)
     }
 
     /// The sets of neighbours that most frames have.
@@ -336,6 +369,15 @@ fn by_frame(look: &Look, [one, other, both]: [f64; 3]) -> f64 {
     }
 }
 
+/// The one of two that is seen, if the other is hidden.
+fn alone(seen: &Places) -> Option<usize> {
+    match seen {
+        [Some(_), None] => Some(0),
+        [None, Some(_)] => Some(1),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -393,6 +435,21 @@ mod tests {
             let whole: Vec<(u32, Vector3<f64>)> = frame.samples.iter().map(|s| (s.track, s.point)).collect();
             assert!(seen_as(f).iter().all(|s| whole.contains(s)), "frame {f}");
         }
+    }
+
+    #[test]
+    fn one_that_was_seen_alone_for_a_moment_is_told_by_its_neighbours() {
+        let (mut truth, times_s) = take(400);
+        // Both are hidden but for two frames that show the one of them.
+        let hidden = |f: usize, track: u32| (200..220).contains(&f) && !(track == 4 && (209..211).contains(&f));
+        truth
+            .iter_mut()
+            .enumerate()
+            .for_each(|(f, frame)| frame.samples.retain(|s| s.track < 4 || !hidden(f, s.track)));
+        let mut frames = truth.clone();
+        frames[209..211].iter_mut().for_each(|frame| exchange(frame, [4, 5]));
+        untangle(&mut frames, &times_s);
+        assert_eq!(points(&frames), points(&truth));
     }
 
     #[test]

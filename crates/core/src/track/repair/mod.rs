@@ -8,17 +8,18 @@
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
 //!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, their
-//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`). What active
-//!    markers told of themselves stands above all that (`told`), read with all cameras together where their brightness is
-//!    known.
+//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`); how far the
+//!    place of one is to be believed while the other is hidden is learned (`alone`). What active markers told of themselves
+//!    stands above all that (`told`), read with all cameras together where their brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
-//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there, it is measured
-//!    (`regain`). Two near markers that cameras see as one dot are measured together (`close`), and looked at once more for
+//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there that are no other
+//!    hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together (`close`), and looked at once more for
 //!    confusion.
 
 mod absorb;
 mod ahead;
+mod alone;
 mod breaks;
 mod bridge;
 pub mod carry;
