@@ -17,7 +17,6 @@ use super::super::body::regression::{Fit, NEIGHBOURS, centered};
 use super::super::body::rotation::align;
 use super::alone::{Belief, Off};
 use super::carry::{learned_links, snapshots, spread, tracks_of};
-use super::close::median;
 use super::direction::{Direction, directions, line_along};
 use super::onward::{Onward, Past, Places};
 use super::thirds::{self, Third, thirds};
@@ -180,15 +179,15 @@ impl<'a> Take<'a> {
         (0..self.slots).flat_map(|a| (a + 1..self.slots).map(move |b| [a, b])).filter(near).collect()
     }
 
-    /// What tells the two apart, if anything does.
-    fn told(&self, pair: [usize; 2]) -> Told {
+    /// What tells the two apart, if anything does; `step_s`: the usual time between two frames.
+    fn told(&self, pair: [usize; 2], step_s: f64) -> Told {
         let thirds = thirds(&spread(&self.places), pair);
         let by_frame = [History::AsItIs, History::Turned].into_iter().find_map(|history| {
             let looks = self.looks(pair, history);
             errors(&looks).map(|errors| (looks, errors))
         });
         if let Some((looks, errors)) = by_frame {
-            let belief = self.belief(&looks, errors);
+            let belief = self.belief(&looks, errors, step_s);
             return Told { looks, errors: Some(errors), belief, thirds, directions: Vec::new() };
         }
         let looks = self.places.iter().map(|now| Look::of(pair, now)).collect();
@@ -202,7 +201,7 @@ impl<'a> Take<'a> {
         let frames = self.places.iter().zip(&self.noise);
         let places: Vec<Places> = frames.map(|frame| pair.map(|p| place(p, frame))).collect();
         let onward = Onward::learned(&places, self.times_s)?;
-        let (mut told, mut past) = (self.told(pair), Past::default());
+        let (mut told, mut past) = (self.told(pair, onward.step_s), Past::default());
         let mut last_s = self.times_s.first().copied().unwrap_or(0.0);
         let mut alone_s = [f64::NEG_INFINITY; 2];
         let one = |(index, (seen, &time_s)): (usize, (&Places, &f64))| {
@@ -233,7 +232,7 @@ impl<'a> Take<'a> {
     }
 
     /// How far the place of one of the two alone is to be believed.
-    fn belief(&self, looks: &[Look], errors: [f64; 3]) -> Option<Belief> {
+    fn belief(&self, looks: &[Look], errors: [f64; 3], step_s: f64) -> Option<Belief> {
         let mut off: [Vec<Off>; 2] = Default::default();
         for (look, &time_s) in looks.iter().zip(self.times_s) {
             let (Some([a, b]), [Some(p), Some(q)]) = (look.expected, look.places) else { continue };
@@ -243,7 +242,6 @@ impl<'a> Take<'a> {
             off[0].push(Off::of(time_s, &places[0], [&a, &b], alone(0)));
             off[1].push(Off::of(time_s, &places[1], [&b, &a], alone(1)));
         }
-        let step_s = median(self.times_s.windows(2).map(|w| w[1] - w[0]).collect())?;
         Belief::learned([&off[0], &off[1]], step_s, LEAST_ERROR)
     }
 

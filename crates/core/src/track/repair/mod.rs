@@ -14,8 +14,8 @@
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there that are no other
-//!    hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together (`close`), and looked at once more for
-//!    confusion.
+//!    hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together
+//!    (`close`), and looked at once more for confusion.
 
 mod absorb;
 mod ahead;

@@ -33,7 +33,7 @@ const FRESH: f64 = 0.5;
 /// How two near markers move.
 pub(super) struct Onward {
     /// Usual time between two frames (s).
-    step_s: f64,
+    pub(super) step_s: f64,
     /// Variances of a place one frame after two others, and after one (m² per axis).
     variance: f64,
     unknown: f64,
