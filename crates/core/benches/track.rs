@@ -15,6 +15,9 @@ use markerloom_core::track::{Moment, TrackOptions, Tracker};
 use nalgebra::Vector3;
 use std::time::Instant;
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 const RATE_HZ: f64 = 100.0;
 const ROUNDS: usize = 3;
 

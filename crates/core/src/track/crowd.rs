@@ -150,11 +150,12 @@ impl Crowd {
     /// Markers learn which cameras see them; `usual`: the part of all cameras that see a marker usually.
     pub fn watch(&mut self, frame: &Frame, usual: f64) {
         let interval_s = self.clock.interval_s();
+        let mut has_dot = vec![false; frame.by_camera.len()];
         for marker in &mut self.markers {
-            let mut visibility = std::mem::take(&mut marker.visibility);
-            visibility.take_in(&marker.has_dots_of(frame), usual);
-            visibility.predict(interval_s, usual);
-            marker.visibility = visibility;
+            has_dot.fill(false);
+            marker.has_dots_of(frame, &mut has_dot);
+            marker.visibility.take_in(&has_dot, usual);
+            marker.visibility.predict(interval_s, usual);
         }
     }
 

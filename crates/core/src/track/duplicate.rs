@@ -61,6 +61,9 @@ impl Tracker {
     /// free again: they are the other's.
     pub(super) fn give_back(&mut self, frame: &mut Frame) {
         let markers = &self.crowd.markers;
+        if markers.iter().all(|m| m.is_live() || !m.is_measured()) {
+            return;
+        }
         let places: Vec<Option<(Vector3<f64>, Matrix3<f64>)>> = markers.iter().map(place).collect();
         let mut wrong = Vec::new();
         for (i, one) in markers.iter().enumerate().filter(|(i, m)| places[*i].is_some() && !m.is_live()) {

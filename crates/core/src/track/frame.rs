@@ -1,6 +1,7 @@
 //! One frame's dots as the tracker uses them: rays, sorted by place within each camera, free until somebody owns them.
 
 use super::flow::Motion;
+use super::threads;
 use crate::correspond::frame::Dot;
 use crate::correspond::scene::Scene;
 use crate::sight::Sight;
@@ -40,7 +41,7 @@ impl<'a> Frame<'a> {
         let cameras = scene.rig.cameras.len();
         let mut frame = Self {
             dots,
-            sights: Vec::with_capacity(dots.len()),
+            sights: Vec::new(),
             by_camera: (0..cameras).map(|_| Vec::with_capacity(2 * dots.len() / cameras.max(1))).collect(),
             widest_sigma_px: vec![0.0; cameras],
             ln_alone: Vec::with_capacity(dots.len()),
@@ -50,20 +51,20 @@ impl<'a> Frame<'a> {
             borrowed: Vec::new(),
         };
         let ln_clutter: Vec<f64> = (0..cameras).map(|camera| clutter(scene, camera).ln()).collect();
-        for (index, dot) in dots.iter().enumerate() {
-            let camera = &scene.rig.cameras[dot.camera];
-            let pixel = Vector2::from(dot.pixel);
+        let sight = |dot: &Dot| {
+            let (camera, pixel) = (&scene.rig.cameras[dot.camera], Vector2::from(dot.pixel));
             let sigma = dot.sigma * scene.model.noise[dot.camera];
             let usable = !camera.mask.covers(pixel);
-            let sight = usable.then(|| Sight::new(camera, dot.camera, pixel, sigma)).flatten();
-            if sight.is_some() {
-                frame.by_camera[dot.camera].push(index as u32);
-                frame.widest_sigma_px[dot.camera] = frame.widest_sigma_px[dot.camera].max(sigma);
-            } else {
-                frame.free[index] = false;
+            usable.then(|| Sight::new(camera, dot.camera, pixel, sigma)).flatten()
+        };
+        frame.sights = threads::map(dots.iter().collect(), dots.len(), sight);
+        for (index, (dot, sight)) in dots.iter().zip(&frame.sights).enumerate() {
+            if let Some(Sight { camera, sigma_px, .. }) = sight {
+                frame.by_camera[*camera].push(index as u32);
+                frame.widest_sigma_px[*camera] = frame.widest_sigma_px[*camera].max(*sigma_px);
             }
-            frame.sights.push(sight);
-            frame.ln_alone.push(ln_alone(scene, dot.camera, pixel).unwrap_or(ln_clutter[dot.camera]));
+            frame.free[index] = sight.is_some();
+            frame.ln_alone.push(ln_alone(scene, dot.camera, dot.pixel.into()).unwrap_or(ln_clutter[dot.camera]));
         }
         for own in &mut frame.by_camera {
             own.sort_unstable_by(|&a, &b| {

@@ -8,6 +8,9 @@ pub const LN_PUSHED: f64 = -4.0;
 pub const LN_NOT_PUSHED: f64 = -0.018_5;
 /// Squared innovation (standard deviations) beyond which a dot is not looked at: χ², 2 degrees, 1e-4.
 pub const GATE: f64 = 18.4;
+/// Where calm fits less than this worse than pushed (squared innovations), it is the likelier one whatever the spreads: a
+/// push only makes them wider. A little less than 2 (`LN_NOT_PUSHED` − `LN_PUSHED`), for rounding.
+const CALM: f64 = 7.96;
 /// ln 2π.
 const LN_TAU: f64 = 1.837_877_066_409_345_3;
 
@@ -27,20 +30,32 @@ pub fn ln_innovations(views: &Views, free: &Free, pairs: &[(u32, u32)]) -> Vec<f
         let own = [0, 1, 2].map(|i| lane(&|view, _| view.own[i]));
         let calm = [own[0] + variance, own[1], own[2] + variance];
         let pushed = [0, 1, 2].map(|i| calm[i] + lane(&|view, _| view.push[i]));
-        let (_, calm) = density(&calm, &offset);
-        let (far, pushed) = density(&pushed, &offset);
-        let larger = (calm + Lane::splat(LN_NOT_PUSHED)).max(pushed + Lane::splat(LN_PUSHED));
+        let (calm_spread, pushed_spread) = (determinant(&calm), determinant(&pushed));
+        let near = squared(&calm, &calm_spread, &offset);
+        let far = squared(&pushed, &pushed_spread, &offset);
+        let mut larger = ln_density(&calm_spread, &near) + Lane::splat(LN_NOT_PUSHED);
+        if (near - far).simd_ge(Lane::splat(CALM)).any() {
+            larger = larger.max(ln_density(&pushed_spread, &far) + Lane::splat(LN_PUSHED));
+        }
         ln.extend(far.simd_le(Lane::splat(GATE)).bitselect(larger, Lane::splat(f64::NEG_INFINITY)).to_array());
     }
     ln.truncate(pairs.len());
     ln
 }
 
-/// Squared offset in standard deviations, and the logarithm of the centred normal density there.
-fn density([xx, xy, yy]: &[Lane; 3], [x, y]: &[Lane; 2]) -> (Lane, Lane) {
-    let determinant = (*xx * *yy - *xy * *xy).max(Lane::splat(1e-300));
-    let squared = (*yy * *x * *x - *xy * *x * *y * Lane::splat(2.0) + *xx * *y * *y) / determinant;
-    (squared, Lane::splat(-LN_TAU) - (determinant.ln() + squared) * Lane::splat(0.5))
+/// Determinant of covariances (xx, xy, yy).
+fn determinant([xx, xy, yy]: &[Lane; 3]) -> Lane {
+    (*xx * *yy - *xy * *xy).max(Lane::splat(1e-300))
+}
+
+/// Squared offset in standard deviations.
+fn squared([xx, xy, yy]: &[Lane; 3], determinant: &Lane, [x, y]: &[Lane; 2]) -> Lane {
+    (*yy * *x * *x - *xy * *x * *y * Lane::splat(2.0) + *xx * *y * *y) / *determinant
+}
+
+/// Logarithm of the centred normal density.
+fn ln_density(determinant: &Lane, squared: &Lane) -> Lane {
+    Lane::splat(-LN_TAU) - (determinant.ln() + *squared) * Lane::splat(0.5)
 }
 
 #[cfg(test)]
@@ -62,10 +77,12 @@ mod tests {
         let offsets = [[0.1, -0.7], [3.0, 2.0], [0.0, 0.0], [-40.0, 11.0]];
         let covariance = [0, 1, 2].map(|i| Lane::from(spreads.map(|s: [f64; 3]| s[i])));
         let offset = [0, 1].map(|i| Lane::from(offsets.map(|o: [f64; 2]| o[i])));
-        let (squared, ln) = density(&covariance, &offset);
+        let spread = determinant(&covariance);
+        let far = squared(&covariance, &spread, &offset);
+        let ln = ln_density(&spread, &far);
         for k in 0..4 {
             let (expected_squared, expected_ln) = oracle(spreads[k], offsets[k]);
-            assert_relative_eq!(squared.to_array()[k], expected_squared, max_relative = 1e-12, epsilon = 1e-12);
+            assert_relative_eq!(far.to_array()[k], expected_squared, max_relative = 1e-12, epsilon = 1e-12);
             assert_relative_eq!(ln.to_array()[k], expected_ln, max_relative = 1e-12);
         }
     }

@@ -199,11 +199,9 @@ impl Marker {
         self.located.as_ref().is_some_and(|l| l.dots.iter().any(|&d| frame.sight(d).camera == camera))
     }
 
-    /// The same for every camera.
-    pub fn has_dots_of(&self, frame: &Frame) -> Vec<bool> {
-        let mut has = vec![false; frame.by_camera.len()];
+    /// The same for every camera, one after the other.
+    pub fn has_dots_of(&self, frame: &Frame, has: &mut [bool]) {
         self.located.iter().flat_map(|l| &l.dots).for_each(|&d| has[frame.sight(d).camera] = true);
-        has
     }
 
     /// Takes possession of its dots.
@@ -286,7 +284,7 @@ impl Marker {
         if astray || std::mem::take(&mut self.exchanged) {
             self.restart(&information, &pull, drift());
         } else {
-            self.settle_live(&information);
+            self.settle_live(&information, &pull_on_filter, squared);
         }
         (self.live, self.seen_s, self.misses) = (true, time_s, 0);
         self.hits += 1;
@@ -320,10 +318,8 @@ impl Marker {
     }
 
     /// The usual update of a marker that is followed without a break.
-    fn settle_live(&mut self, information: &Matrix3<f64>) {
+    fn settle_live(&mut self, information: &Matrix3<f64>, pull: &Vector3<f64>, squared: f64) {
         let Some(located) = &self.located else { return };
-        let pull = located.pull_from(&self.filter.position);
-        let squared = squared_innovation(self.filter.covariance(), information, &pull);
         if squared > PUSHED {
             let away = (located.point - self.filter.position).norm();
             self.filter.admit_push(away, self.acceleration);
@@ -334,8 +330,7 @@ impl Marker {
             let variance = self.acceleration.powi(2) * (1.0 + rate * excess);
             self.acceleration = variance.sqrt().clamp(ACCELERATION_RANGE[0], ACCELERATION_RANGE[1]);
         }
-        if let Some((point, covariance)) =
-            posterior(&self.filter.position, self.filter.covariance(), information, &pull)
+        if let Some((point, covariance)) = posterior(&self.filter.position, self.filter.covariance(), information, pull)
         {
             self.filter.update(point, &covariance);
             self.state = (point, covariance);

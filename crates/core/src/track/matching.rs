@@ -11,10 +11,10 @@ use super::frame::Frame;
 use super::innovation::{GATE, LN_NOT_PUSHED, LN_PUSHED, ln_innovations};
 use super::pairs::{Edge, best_pairs};
 use super::strips::Free;
+use super::threads;
 use super::views::{Asked, Views};
 use crate::correspond::scene::Scene;
 use nalgebra::{Matrix2, Matrix3, Vector3};
-use rayon::prelude::*;
 
 /// Where a marker is expected.
 #[derive(Clone, Copy, Debug)]
@@ -74,8 +74,6 @@ impl Prior {
 const LN_REAPPEARS: f64 = -4.0;
 /// What a dot that tells a marker's identity has for it (nats).
 const LN_TOLD: f64 = 8.0;
-/// Views from which on sharing them out among threads pays.
-const WORTH_SHARING: usize = 4000;
 
 /// Squared innovation of a dot (standard deviations) with room for a push; `None` outside the gate.
 pub fn innovation(scene: &Scene, frame: &Frame, dot: u32, prior: &Prior) -> Option<f64> {
@@ -104,11 +102,7 @@ pub fn match_cameras(
     }
     let known = Known::of(&asked);
     let one = |camera: usize| match_camera(scene, frame, camera, &asked, &known, |who| wanted(camera, who));
-    let parts: Vec<Vec<(usize, u32)>> = if cameras * asked.index.len() < WORTH_SHARING {
-        (0..cameras).map(one).collect()
-    } else {
-        (0..cameras).into_par_iter().map(one).collect()
-    };
+    let parts = threads::map((0..cameras).collect(), cameras * asked.index.len(), one);
     let mut found = vec![Vec::new(); priors.len()];
     for (who, dot) in parts.into_iter().flatten() {
         let own: &mut Vec<u32> = &mut found[who];
@@ -133,12 +127,14 @@ fn match_camera(
     if free.dots.is_empty() {
         return Vec::new();
     }
-    let views = Views::of(&scene.rig.cameras[camera], frame.lag_s(camera), asked);
+    let seen_by = (&scene.rig.cameras[camera], frame.widest_sigma_px[camera]);
+    let views = Views::of(seen_by, frame.lag_s(camera), asked, |k| wanted(asked.index[k]));
     let detection = scene.model.detection;
     let base = (detection / (1.0 - detection)).ln();
-    let near = free.near(&views, |who| wanted(asked.index[who]));
+    let near = free.near(&views);
     let ln = ln_innovations(&views, &free, &near);
-    let gain = |(&(who, at), ln): (&(u32, u32), f64)| {
+    let gain = |(&(number, at), ln): (&(u32, u32), f64)| {
+        let who = views.who[number as usize];
         let dot = &free.dots[at as usize];
         let gain = base + known.gain(asked.priors[who as usize], dot.hardware)? + ln - dot.ln_alone;
         (gain > 0.0).then_some(Edge { who, dot: at, gain })

@@ -41,6 +41,7 @@ pub mod repair;
 mod share;
 mod start;
 mod strips;
+mod threads;
 mod views;
 mod visibility;
 
@@ -314,7 +315,7 @@ impl Tracker {
         let samples = self.crowd.samples(|p| self.scene.model.region.contains(p));
         self.crowd.learn_and_forget();
         Ok(Tracked {
-            samples: samples.into_iter().map(|s| s.with_rays(&frame)).collect(),
+            samples: threads::map(samples, dots.len(), |s| s.with_rays(&frame)),
             searched_dots: searched.dots,
             overfull: searched.overfull,
             certified: searched.certified,
@@ -362,18 +363,24 @@ impl Tracker {
     fn assign(&mut self, frame: &mut Frame, which: impl Fn(&Marker) -> bool) {
         let priors: Vec<Option<Prior>> = self.crowd.markers.iter().map(|m| which(m).then_some(m.prior)).collect();
         let found = match_cameras(&self.scene, frame, &priors, |_, _| true);
-        for (marker, dots) in self.crowd.markers.iter_mut().zip(&found).filter(|(_, dots)| !dots.is_empty()) {
-            marker.located = locate(&self.scene, &self.gates, frame, dots, &marker.prior);
-            marker.claim(&mut frame.free);
-        }
+        let (scene, gates) = (&self.scene, &self.gates);
+        let asked = self.crowd.markers.iter_mut().zip(&found).filter(|(_, dots)| !dots.is_empty());
+        let markers = threads::map(asked.collect(), found.iter().map(Vec::len).sum(), |(marker, dots)| {
+            marker.located = locate(scene, gates, frame, dots, &marker.prior);
+            marker
+        });
+        markers.into_iter().for_each(|marker| marker.claim(&mut frame.free));
     }
 
     /// Offers left-over dots to markers that are known well by now, camera by camera.
     fn regate(&mut self, frame: &mut Frame) {
         let priors: Vec<Option<Prior>> =
             self.crowd.markers.iter().map(|m| m.is_found().then(|| m.posterior_prior())).collect();
-        let seen: Vec<Vec<bool>> = self.crowd.markers.iter().map(|m| m.has_dots_of(frame)).collect();
-        let more = match_cameras(&self.scene, frame, &priors, |camera, who| !seen[who][camera]);
+        let cameras = frame.by_camera.len();
+        let mut seen = vec![false; cameras * priors.len()];
+        let by_marker = seen.chunks_exact_mut(cameras.max(1));
+        self.crowd.markers.iter().zip(by_marker).for_each(|(marker, seen)| marker.has_dots_of(frame, seen));
+        let more = match_cameras(&self.scene, frame, &priors, |camera, who| !seen[who * cameras + camera]);
         for (marker, more) in self.crowd.markers.iter_mut().zip(more).filter(|(_, more)| !more.is_empty()) {
             let mut dots = more;
             dots.extend(marker.located.iter().flat_map(|l| &l.dots));

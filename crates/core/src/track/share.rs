@@ -7,8 +7,9 @@
 
 use super::Tracker;
 use super::frame::Frame;
-use super::locate::locate;
+use super::locate::{Located, locate};
 use super::marker::Marker;
+use crate::sight::Sight;
 use nalgebra::{Vector2, Vector3};
 
 /// What the distance of the nearest two dots of a frame tells about merging: its quantile, followed in steps (px).
@@ -21,6 +22,8 @@ const KNOWN: f64 = 0.02;
 const MERGED: f64 = 1.5;
 /// Innovation allowed beyond the merging distance (standard deviations).
 const GATE_SIGMAS: f64 = 3.0;
+/// Room for rounding.
+const ROUNDING: f64 = 1.0 + 1e-9;
 
 /// The distance at which two dots become one, as learned.
 #[derive(Clone, Copy, Debug)]
@@ -106,8 +109,13 @@ impl Tracker {
         let mut found = Vec::new();
         for (owner, one) in self.crowd.markers.iter().enumerate().filter(|(_, m)| m.confirmed) {
             let Some(located) = &one.located else { continue };
+            let [here_m, by_depth] = self.widest_m(frame, located);
             for link in self.crowd.body.links.of(one.slot) {
-                let Some(other) = at[link.other].filter(|_| link.is_rigid()) else { continue };
+                let Some(other) = at[link.other] else { continue };
+                let deeper_m = (place_of(&self.crowd.markers[other]) - located.point).norm();
+                if link.mean_m > here_m + by_depth * deeper_m || !link.is_rigid() {
+                    continue;
+                }
                 for &dot in &located.dots {
                     let noise_px = self.merged(frame, dot, link.mean_m, &self.crowd.markers[other]);
                     found.extend(noise_px.map(|noise_px| Shared { dot, owner, other, noise_px }));
@@ -117,12 +125,25 @@ impl Tracker {
         found
     }
 
+    /// The longest distance that may look like one blob in any image of a marker (m), and by how much more it may be with
+    /// each metre that the other marker is farther from the camera.
+    fn widest_m(&self, frame: &Frame, located: &Located) -> [f64; 2] {
+        let mut widest = [0.0_f64; 2];
+        for &dot in &located.dots {
+            let sight = frame.sight(dot);
+            let by_depth = 2.0 * MERGED * self.merging.distance_px / px_at_one_metre(sight);
+            let here = by_depth * sight.depth(&located.point);
+            widest = [widest[0].max(here), widest[1].max(by_depth)];
+        }
+        widest.map(|w| w * ROUNDING)
+    }
+
     /// Whether the dot of a marker at a distance (m) is another's too; if so, what noise the merging adds (px).
     fn merged(&self, frame: &Frame, dot: u32, distance_m: f64, other: &Marker) -> Option<f64> {
         let sight = frame.sight(dot);
         let known = other.is_found() || other.prior.covariance.trace() < KNOWN * KNOWN;
-        let place: Vector3<f64> = other.found_at().unwrap_or(other.prior.point);
-        let px_per_m = sight.rows.norm() * std::f64::consts::FRAC_1_SQRT_2 * sight.sigma_px / sight.depth(&place);
+        let place = place_of(other);
+        let px_per_m = px_at_one_metre(sight) / sight.depth(&place);
         let reach = MERGED * self.merging.distance_px;
         if !known || distance_m * px_per_m > 2.0 * reach || other.has_dot_of(sight.camera, frame) {
             return None;
@@ -135,4 +156,14 @@ impl Tracker {
         let near = offset.norm() < self.merging.distance_px + GATE_SIGMAS * (spread + sight.sigma_px.powi(2)).sqrt();
         near.then_some(0.5 * self.merging.distance_px.min(distance_m * px_per_m))
     }
+}
+
+/// Where a marker is as far as is known by now.
+fn place_of(marker: &Marker) -> Vector3<f64> {
+    marker.found_at().unwrap_or(marker.prior.point)
+}
+
+/// How long a metre is in an image one metre before the camera (px).
+fn px_at_one_metre(sight: &Sight) -> f64 {
+    sight.rows.norm() * std::f64::consts::FRAC_1_SQRT_2 * sight.sigma_px
 }

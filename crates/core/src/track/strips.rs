@@ -21,7 +21,6 @@ pub struct Free {
     pub dots: Vec<FreeDot>,
     /// Where they are (px).
     pub pixels: Vec<Vector2<f64>>,
-    widest_sigma_px: f64,
     strips: Strips,
 }
 
@@ -40,25 +39,24 @@ impl Free {
         };
         let dots = order.iter().map(one).collect();
         let pixels = order.iter().map(|&at| places[at as usize]).collect();
-        Self { dots, pixels, widest_sigma_px: frame.widest_sigma_px[camera], strips }
+        Self { dots, pixels, strips }
     }
 
-    /// Views that are `wanted` and the dots in their gates' bounding boxes, by their numbers.
-    pub fn near(&self, views: &Views, wanted: impl Fn(usize) -> bool) -> Vec<(u32, u32)> {
-        let mut near = vec![(0, 0); views.len()];
+    /// Views and the dots in their gates' bounding boxes, by their numbers.
+    pub fn near(&self, views: &Views) -> Vec<(u32, u32)> {
+        let mut near = vec![(0, 0); views.who.len()];
         let mut found = 0;
-        for who in (0..views.len()).filter(|&who| wanted(who)) {
-            let view = views.at(who);
-            let reach = view.reach(self.widest_sigma_px);
-            let dots = self.strips.within(&view.pixel, reach);
+        for number in 0..views.who.len() {
+            let (pixel, reach) = views.gate(number);
+            let dots = self.strips.within(&pixel, reach);
             if found + dots.len() > near.len() {
                 near.resize(2 * (found + dots.len()), (0, 0));
             }
             // Each is written down, and the next one over it if it was not near: who is near cannot be foreseen, and
             // guessing wrong takes the processor longer than writing.
             for at in dots {
-                let offset = self.pixels[at] - view.pixel;
-                near[found] = (who as u32, at as u32);
+                let offset = self.pixels[at] - pixel;
+                near[found] = (number as u32, at as u32);
                 found += usize::from((offset.x.abs() <= reach[0]) & (offset.y.abs() <= reach[1]));
             }
         }

@@ -3,7 +3,7 @@
 use super::innovation::GATE;
 use super::matching::Prior;
 use crate::camera::{Camera, Lens};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::Vector2;
 use wide::f64x4;
 
 /// The gate with room for rounding: nothing within it lies outside its bounding box.
@@ -26,9 +26,9 @@ pub struct Asked<'a> {
 impl<'a> Asked<'a> {
     /// Those that have a prior.
     pub fn of(priors: &'a [Option<Prior>]) -> Self {
-        let (index, priors): (_, Vec<&Prior>) =
+        let (index, priors): (Vec<usize>, Vec<&Prior>) =
             priors.iter().enumerate().filter_map(|(i, p)| Some((i, p.as_ref()?))).unzip();
-        Self { index, expected: expected(&priors, 0.0), priors }
+        Self { expected: expected(priors.len(), |k| priors[k], 0.0), index, priors }
     }
 }
 
@@ -40,22 +40,20 @@ struct Expected {
     push: Lane,
 }
 
-/// Where markers are expected some time later (s).
-fn expected(priors: &[&Prior], lag_s: f64) -> Vec<Expected> {
-    let mut later: Vec<_> = priors.iter().map(|p| (p.after(lag_s), p.covariance_after(lag_s), p.push)).collect();
-    // The last block is filled up with a marker that nobody asks for.
-    let last = later.last().copied();
-    later.extend(last.into_iter().cycle().take(later.len().next_multiple_of(BLOCK) - later.len()));
-    let block = |markers: &[(Vector3<f64>, Matrix3<f64>, f64)]| {
-        let lane = |of: &dyn Fn(usize) -> f64| Lane::from(std::array::from_fn::<f64, BLOCK, _>(of));
+/// Where so many markers are expected some time later (s).
+fn expected<'a>(count: usize, prior: impl Fn(usize) -> &'a Prior, lag_s: f64) -> Vec<Expected> {
+    let block = |first: usize| {
+        // The last block is filled up with a marker that it has already.
+        let priors: [&Prior; BLOCK] = std::array::from_fn(|k| prior((first + k).min(count - 1)));
+        let (points, covariances) = (priors.map(|p| p.after(lag_s)), priors.map(|p| p.covariance_after(lag_s)));
         let unique = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
         Expected {
-            point: [0, 1, 2].map(|i| lane(&|k| markers[k].0[i])),
-            covariance: unique.map(|ij| lane(&|k| markers[k].1[ij])),
-            push: lane(&|k| markers[k].2),
+            point: [0, 1, 2].map(|i| Lane::from(points.map(|p| p[i]))),
+            covariance: unique.map(|ij| Lane::from(covariances.map(|c| c[ij]))),
+            push: Lane::from(priors.map(|p| p.push)),
         }
     };
-    later.chunks_exact(BLOCK).map(block).collect()
+    (0..count).step_by(BLOCK).map(block).collect()
 }
 
 /// A predicted marker in one camera.
@@ -67,17 +65,11 @@ pub struct View {
     pub push: [f64; 3],
 }
 
-impl View {
-    /// Half width and height of the gate for dots of a noise (px).
-    pub fn reach(&self, sigma_px: f64) -> [f64; 2] {
-        [0, 2].map(|i| (WIDER_GATE * (self.own[i] + self.push[i] + sigma_px * sigma_px)).sqrt())
-    }
-}
-
-/// All markers asked for as one camera sees them; those that it cannot see are nowhere (NaN).
+/// Markers asked for as one camera sees them; those that it cannot see are nowhere (NaN).
 pub struct Views {
     blocks: Vec<Seen>,
-    markers: usize,
+    /// Their numbers among those asked for.
+    pub who: Vec<u32>,
 }
 
 /// A block of views.
@@ -85,35 +77,41 @@ struct Seen {
     pixel: [[f64; BLOCK]; 2],
     own: [[f64; BLOCK]; 3],
     push: [[f64; BLOCK]; 3],
+    /// Half width and height of the gate.
+    reach: [[f64; BLOCK]; 2],
 }
 
 impl Views {
-    /// How a camera sees them, later than the frame's moment (s).
-    pub fn of(camera: &Camera, lag_s: f64, asked: &Asked) -> Self {
-        let seen = |expected: &Expected| Seen::of(camera, expected);
-        let blocks = if lag_s == 0.0 {
+    /// How a camera sees those of them that are `wanted` (by number), later than the frame's moment (s). Gates have room
+    /// for dots of a noise (px).
+    pub fn of((camera, sigma_px): (&Camera, f64), lag_s: f64, asked: &Asked, wanted: impl Fn(usize) -> bool) -> Self {
+        let mut who = Vec::with_capacity(asked.index.len());
+        who.extend((0..asked.index.len()).filter(|&k| wanted(k)).map(|k| k as u32));
+        let seen = |expected: &Expected| Seen::of(camera, expected, sigma_px);
+        let blocks = if lag_s == 0.0 && who.len() == asked.index.len() {
             asked.expected.iter().map(seen).collect()
         } else {
-            expected(&asked.priors, lag_s).iter().map(seen).collect()
+            expected(who.len(), |k| asked.priors[who[k] as usize], lag_s).iter().map(seen).collect()
         };
-        Self { blocks, markers: asked.index.len() }
+        Self { blocks, who }
     }
 
-    /// Their number.
-    pub fn len(&self) -> usize {
-        self.markers
+    /// Where one of them is, and half width and height of its gate (px).
+    pub fn gate(&self, number: usize) -> (Vector2<f64>, [f64; 2]) {
+        let (block, k) = (&self.blocks[number / BLOCK], number % BLOCK);
+        (Vector2::new(block.pixel[0][k], block.pixel[1][k]), [block.reach[0][k], block.reach[1][k]])
     }
 
     /// One of them.
-    pub fn at(&self, who: usize) -> View {
-        let (block, k) = (&self.blocks[who / BLOCK], who % BLOCK);
+    pub fn at(&self, number: usize) -> View {
+        let (block, k) = (&self.blocks[number / BLOCK], number % BLOCK);
         let pixel = Vector2::new(block.pixel[0][k], block.pixel[1][k]);
         View { pixel, own: [0, 1, 2].map(|i| block.own[i][k]), push: [0, 1, 2].map(|i| block.push[i][k]) }
     }
 }
 
 impl Seen {
-    fn of(camera: &Camera, expected: &Expected) -> Self {
+    fn of(camera: &Camera, expected: &Expected, sigma_px: f64) -> Self {
         let r = [0, 1, 2].map(|i| [0, 1, 2].map(|j| Lane::splat(camera.camera_from_world[(i, j)])));
         let offset = [0, 1, 2].map(|i| expected.point[i] - Lane::splat(camera.position_m[i]));
         let [x, y, z] = r.map(|row| dot(&row, &offset));
@@ -127,10 +125,15 @@ impl Seen {
         let [xx, xy, xz, yy, yz, zz] = expected.covariance;
         let spread = |u: &[Lane; 3]| [dot(u, &[xx, xy, xz]), dot(u, &[xy, yy, yz]), dot(u, &[xz, yz, zz])];
         let (by_u, by_v) = (spread(&u), spread(&v));
+        let own = [dot(&by_u, &u), dot(&by_u, &v), dot(&by_v, &v)];
+        let push = [dot(&u, &u), dot(&u, &v), dot(&v, &v)].map(|v| v * expected.push);
+        let noise = Lane::splat(sigma_px * sigma_px);
+        let reach = [0, 2].map(|i| (Lane::splat(WIDER_GATE) * (own[i] + push[i] + noise)).sqrt());
         Self {
             pixel: pixel.map(Lane::to_array),
-            own: [dot(&by_u, &u), dot(&by_u, &v), dot(&by_v, &v)].map(Lane::to_array),
-            push: [dot(&u, &u), dot(&u, &v), dot(&v, &v)].map(|v| (v * expected.push).to_array()),
+            own: own.map(Lane::to_array),
+            push: push.map(Lane::to_array),
+            reach: reach.map(Lane::to_array),
         }
     }
 }
@@ -164,6 +167,7 @@ mod tests {
     use super::*;
     use crate::synth::rigs;
     use approx::assert_relative_eq;
+    use nalgebra::{Matrix2, Matrix3, Vector3};
 
     fn marker(i: usize) -> Prior {
         let t = i as f64;
@@ -190,8 +194,12 @@ mod tests {
         for (lens, lag_s) in [(Lens::Ideal, 0.0), (vicon, 0.0), (brown, 0.004)] {
             let mut camera = rigs::ring(3, 4.0, 20.0, 0.0, [1280.0, 1024.0], 1300.0).cameras.remove(1);
             camera.lens = lens;
-            let views = Views::of(&camera, lag_s, &asked);
-            assert_eq!(views.len(), 6);
+            let sigma_px = 0.4;
+            let views = Views::of((&camera, sigma_px), lag_s, &asked, |_| true);
+            assert_eq!(views.who, [0, 1, 2, 3, 4, 5]);
+            let some = Views::of((&camera, sigma_px), lag_s, &asked, |k| k > 3);
+            assert_eq!(some.who, [4, 5]);
+            assert_eq!((some.gate(0), some.gate(1)), (views.gate(4), views.gate(5)));
             for (who, prior) in asked.priors.iter().enumerate() {
                 let (pixel, by_point) = camera.project_linear(&prior.after(lag_s)).expect("it is in sight");
                 let own = by_point * prior.covariance_after(lag_s) * by_point.transpose();
@@ -202,6 +210,10 @@ mod tests {
                     assert_relative_eq!(view.own[k], own[ij], max_relative = 1e-9);
                     assert_relative_eq!(view.push[k], push[ij], max_relative = 1e-9);
                 }
+                let variance = (own + push + Matrix2::identity() * sigma_px * sigma_px).diagonal();
+                let (at, reach) = views.gate(who);
+                assert_eq!(at, view.pixel);
+                assert_relative_eq!(Vector2::from(reach), (variance * GATE).map(f64::sqrt), max_relative = 1e-5);
             }
         }
     }
@@ -210,7 +222,7 @@ mod tests {
     fn behind_the_camera_they_are_nowhere() {
         let camera = rigs::ring(3, 4.0, 20.0, 0.0, [1280.0, 1024.0], 1300.0).cameras.remove(1);
         let behind = Prior { point: camera.position_m * 2.0, ..marker(0) };
-        let views = Views::of(&camera, 0.0, &Asked::of(&[Some(behind), Some(marker(1))]));
+        let views = Views::of((&camera, 0.4), 0.0, &Asked::of(&[Some(behind), Some(marker(1))]), |_| true);
         assert!(views.at(0).pixel.x.is_nan() && views.at(1).pixel.x.is_finite());
     }
 }

@@ -66,8 +66,8 @@ impl Link {
         Self { other, mean_m: length.mean, variance, noise: 0.0, count, turns, direction, off: 0 }
     }
 
-    fn learn(&mut self, between: &Vector3<f64>, noise: f64) {
-        let length = between.norm();
+    /// Takes in a distance (m) in a direction, and what its variance owes to noise (m²).
+    fn learn(&mut self, (length, direction): (f64, Vector3<f64>), noise: f64) {
         let spread = (self.spread_m().powi(2) + noise).sqrt();
         let deviation = length - self.mean_m;
         if self.count > 20.0 && deviation.abs() > OFF * spread {
@@ -81,7 +81,6 @@ impl Link {
         self.variance += (clipped * (length - mean).clamp(-4.0 * spread, 4.0 * spread) - self.variance) / self.count;
         self.mean_m = mean;
         self.noise += (noise - self.noise) / self.count;
-        let direction = between / length.max(1e-9);
         if direction.dot(&self.direction) < TURNED {
             self.turns += 1.0;
             self.direction = direction;
@@ -168,8 +167,9 @@ impl Links {
             for link in own.iter_mut() {
                 if let Some(other) = at[link.other].map(|i| &seen[i]) {
                     let between = other.point - one.point;
-                    let along = between / between.norm().max(1e-9);
-                    link.learn(&between, along.dot(&((one.covariance + other.covariance) * along)));
+                    let length = between.norm();
+                    let along = between / length.max(1e-9);
+                    link.learn((length, along), along.dot(&((one.covariance + other.covariance) * along)));
                 }
             }
         }

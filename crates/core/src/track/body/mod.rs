@@ -2,18 +2,21 @@
 //! while capturing, and the place of a hidden marker from it.
 //!
 //! - [`links`]: the mean and variance of distances, equations 17–18 repaired.
+//! - [`moments`]: ridge regression from moments.
 //! - [`regression`]: a hidden marker from its most reliable neighbours.
 //! - [`spheres`]: the paper's own constructions for a hidden marker with two neighbours or one.
 //!
 //! Markers are named by slots, small numbers that are used again when a marker is gone for good; so memory is bounded.
 
 pub mod links;
+pub(in crate::track) mod moments;
 pub mod regression;
 pub mod rotation;
 pub mod spheres;
 
 use super::filter::fuse;
 use links::Links;
+use moments::NEIGHBOURS;
 use nalgebra::{Matrix3, Vector3};
 use regression::Fit;
 use std::collections::VecDeque;
@@ -206,7 +209,7 @@ impl Body {
         if self.fitted >= FITS_PER_FRAME || (framing.fit.is_some() && framing.idle < PATIENCE) {
             return;
         }
-        let neighbours = self.links.frame_of(slot, now, regression::NEIGHBOURS);
+        let neighbours = self.links.frame_of(slot, now, NEIGHBOURS);
         let history: Vec<&Snapshot> = self.recent().collect();
         let lost = self.lost[slot].as_deref().unwrap_or_default();
         let fit = Fit::new(slot, &neighbours, &history, lost, 1.0 / HISTORY_HZ);

@@ -6,12 +6,11 @@
 //! What the marker was off when last seen, and how fast that changed, fades as such errors do (cf. Piazza et al. 2009; Gløersen &
 //! Federolf 2016 for the use of all markers' correlations).
 
+use super::moments::{Features, Moments, NEIGHBOURS, Regression, Sample};
 use super::rotation::align;
 use super::{Carried, Snapshot};
-use nalgebra::{Cholesky, Const, Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// Neighbours at most.
-pub const NEIGHBOURS: usize = 5;
 /// Fewer make no frame.
 const FEWEST: usize = 3;
 /// Smallest area of the triangle of the first three neighbours' spread (m²): below it the frame's turn is a guess.
@@ -38,12 +37,6 @@ const LARGEST_LEVERAGE: f64 = 30.0;
 /// Error that never fades: measurement, skin (m).
 const LEAST_ERROR: f64 = 0.000_7;
 
-/// Features of a pose: how each neighbour departs from the reference; those of neighbours that there are not are 0.
-const WIDTH: usize = 3 * NEIGHBOURS;
-type Features = SVector<f64, WIDTH>;
-type OfFeatures = SMatrix<f64, WIDTH, WIDTH>;
-type PlaceByFeatures = SMatrix<f64, 3, WIDTH>;
-
 /// A fitted frame for one hidden marker.
 #[derive(Clone, Debug)]
 pub struct Fit {
@@ -53,21 +46,13 @@ pub struct Fit {
     mean_features: Features,
     mean_place: Vector3<f64>,
     /// Place by features; none when rigid.
-    coefficients: Option<PlaceByFeatures>,
-    /// Inverse of the features' ridged second moments: for the leverage of a pose.
-    inverse: Option<OfFeatures>,
+    regression: Option<Regression>,
     /// Error per axis (m²) and its correlation length (s).
     variance: f64,
     length_s: f64,
     /// How far off the prediction was when the marker was last seen (local frame; m, m/s), and when (s).
     offset: Option<[Vector3<f64>; 2]>,
     lost_s: f64,
-}
-
-/// Neighbours' departures and the marker's place in the local frame, for one snapshot.
-struct Sample {
-    features: Features,
-    place: Vector3<f64>,
 }
 
 impl Fit {
@@ -131,8 +116,7 @@ impl Fit {
             mean_features: Features::zeros(),
             reference,
             mean_place: Vector3::zeros(),
-            coefficients: None,
-            inverse: None,
+            regression: None,
             variance: 0.0,
             length_s: UNTRIED_LENGTH_S,
             offset: None,
@@ -178,7 +162,7 @@ impl Fit {
     }
 
     fn place_of(&self, features: &Features) -> Vector3<f64> {
-        let departure = self.coefficients.as_ref().map(|c| c * (features - self.mean_features));
+        let departure = self.regression.as_ref().map(|r| r.coefficients * (features - self.mean_features));
         self.mean_place + departure.unwrap_or_default()
     }
 
@@ -194,15 +178,14 @@ impl Fit {
             self.variance = self.untried_variance(samples);
             return Some(());
         }
-        let folds: Vec<Moments> = (0..FOLDS).map(|f| Moments::of(fold(samples, f))).collect();
-        let moments = folds.iter().skip(1).fold(folds[0].clone(), Moments::with);
-        let scale = moments.mean_variance(3 * self.neighbours.len());
-        let tried = RIDGES.iter().map(|r| (r * scale, left_out_error(samples, &moments, &folds, r * scale)));
-        let (ridge, error) = tried.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        self.mean_features = moments.mean_features();
-        self.mean_place = moments.mean_place();
-        self.coefficients = moments.coefficients(ridge);
-        self.inverse = moments.ridged(ridge).map(|r| r.inverse());
+        let folds: [Moments; FOLDS] = std::array::from_fn(|f| Moments::of(fold(samples, f)));
+        let moments = folds[1..].iter().fold(folds[0].clone(), Moments::with);
+        let (all, neighbours) = (moments.centred(), self.neighbours.len());
+        let ridges = RIDGES.map(|r| r * all.mean_variance(neighbours));
+        let errors = left_out_errors(&moments, &folds, neighbours, &ridges);
+        let (ridge, error) = ridges.into_iter().zip(errors).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        (self.mean_features, self.mean_place) = (all.features, all.place);
+        self.regression = all.regression(neighbours, ridge);
         let lag = self.lag_correlation(samples);
         self.length_s = length_of(lag, spacing_s);
         let worth = samples.len() as f64 * (1.0 - lag) / (1.0 + lag);
@@ -245,8 +228,8 @@ impl Fit {
             place += (offset * (1.0 + x) + drift * after_s) * kept;
             faded = (1.0 - kept * kept * ((1.0 + x).powi(2) + x * x)).max(0.0);
         }
-        let departure = features - self.mean_features;
-        let leverage = self.inverse.as_ref().map_or(0.0, |m| departure.dot(&(m * departure))).min(LARGEST_LEVERAGE);
+        let leverage = self.regression.as_ref().map_or(0.0, |r| r.leverage(&(features - self.mean_features)));
+        let leverage = leverage.min(LARGEST_LEVERAGE);
         let variance = self.variance * faded * (1.0 + leverage) + LEAST_ERROR.powi(2);
         let point = center + rotation.inverse() * place;
         Some(Carried { point, covariance: Matrix3::identity() * variance })
@@ -281,111 +264,14 @@ fn fold(samples: &[Sample], fold: usize) -> &[Sample] {
     &samples[fold * samples.len() / FOLDS..(fold + 1) * samples.len() / FOLDS]
 }
 
-/// Sum of squared errors of stretches predicted from the rest (m²).
-fn left_out_error(samples: &[Sample], all: &Moments, folds: &[Moments], ridge: f64) -> f64 {
-    let mut error = 0.0;
-    for (f, own) in folds.iter().enumerate() {
-        let rest = all.without(own);
-        let (mean_features, mean_place) = (rest.mean_features(), rest.mean_place());
-        let coefficients = rest.coefficients(ridge);
-        for sample in fold(samples, f) {
-            let mut off = sample.place - mean_place;
-            if let Some(coefficients) = &coefficients {
-                off -= coefficients * (sample.features - mean_features);
-            }
-            error += off.norm_squared();
+/// By ridge, the sum of squared errors of stretches predicted from the rest (m²).
+fn left_out_errors<const N: usize>(all: &Moments, folds: &[Moments], neighbours: usize, ridges: &[f64; N]) -> [f64; N] {
+    let mut errors = [0.0; N];
+    for fold in folds {
+        let (own, rest) = (fold.centred(), all.without(fold).centred());
+        for (error, ridge) in errors.iter_mut().zip(ridges) {
+            *error += own.error_by(&rest, rest.regression(neighbours, *ridge).as_ref());
         }
     }
-    error
-}
-
-/// First and second moments of samples.
-#[derive(Clone)]
-struct Moments {
-    count: f64,
-    features: Features,
-    place: Vector3<f64>,
-    features2: OfFeatures,
-    place_features: PlaceByFeatures,
-}
-
-impl Moments {
-    fn of(samples: &[Sample]) -> Self {
-        let mut m = Self {
-            count: samples.len() as f64,
-            features: Features::zeros(),
-            place: Vector3::zeros(),
-            features2: OfFeatures::zeros(),
-            place_features: PlaceByFeatures::zeros(),
-        };
-        for s in samples {
-            m.features += s.features;
-            m.place += s.place;
-            m.place_features.ger(1.0, &s.place, &s.features, 1.0);
-            // One half will do.
-            for column in 0..WIDTH {
-                let own = s.features[column];
-                for row in column..WIDTH {
-                    m.features2[(row, column)] += own * s.features[row];
-                }
-            }
-        }
-        m.features2.fill_upper_triangle_with_lower_triangle();
-        m
-    }
-
-    fn with(self, other: &Self) -> Self {
-        Self {
-            count: self.count + other.count,
-            features: self.features + other.features,
-            place: self.place + other.place,
-            features2: self.features2 + other.features2,
-            place_features: self.place_features + other.place_features,
-        }
-    }
-
-    fn without(&self, other: &Self) -> Self {
-        Self {
-            count: self.count - other.count,
-            features: self.features - other.features,
-            place: self.place - other.place,
-            features2: self.features2 - other.features2,
-            place_features: self.place_features - other.place_features,
-        }
-    }
-
-    fn mean_features(&self) -> Features {
-        self.features / self.count
-    }
-
-    fn mean_place(&self) -> Vector3<f64> {
-        self.place / self.count
-    }
-
-    /// Mean over so many features of their summed squares about the mean (m²).
-    fn mean_variance(&self, width: usize) -> f64 {
-        let mean = self.mean_features();
-        (self.features2.trace() - self.count * mean.norm_squared()).max(1e-12) / width as f64
-    }
-
-    /// Factorised second moments with a ridge; `None` for the rigid frame.
-    fn ridged(&self, ridge: f64) -> Option<Cholesky<f64, Const<WIDTH>>> {
-        if !ridge.is_finite() {
-            return None;
-        }
-        let mean = self.mean_features();
-        let mut second = self.features2 - mean * mean.transpose() * self.count;
-        for i in 0..WIDTH {
-            second[(i, i)] += ridge;
-        }
-        second.cholesky()
-    }
-
-    /// Coefficients of the places by the features with a ridge; `None` for the rigid frame.
-    fn coefficients(&self, ridge: f64) -> Option<PlaceByFeatures> {
-        let factor = self.ridged(ridge)?;
-        let mean = self.mean_features();
-        let cross = self.place_features - self.mean_place() * mean.transpose() * self.count;
-        Some(factor.solve(&cross.transpose()).transpose())
-    }
+    errors
 }

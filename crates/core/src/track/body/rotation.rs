@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// After a step this small (rad) the next one is below rounding: Newton's method squares the error.
-const LAST_STEP: f64 = 1e-7;
+const LAST_STEP: f64 = 1e-5;
 
 /// The rotation R that minimises Σ w |R a − b|², for points relative to their centroids.
 pub fn align(a: &[Vector3<f64>], b: &[Vector3<f64>], weights: &[f64], guess: Rotation3<f64>) -> Rotation3<f64> {

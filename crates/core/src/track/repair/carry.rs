@@ -5,7 +5,8 @@
 //! estimates are put together by their covariances. Such samples are predicted, never measured.
 
 use super::super::body::links::Links;
-use super::super::body::regression::{Fit, NEIGHBOURS};
+use super::super::body::moments::NEIGHBOURS;
+use super::super::body::regression::Fit;
 use super::super::body::{Carried, Seen, Snapshot};
 use super::super::filter::{Filter, Step, fuse};
 use super::super::{Kind, Sample, Tracked};

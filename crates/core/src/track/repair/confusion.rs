@@ -13,7 +13,8 @@
 use super::super::Tracked;
 use super::super::body::Snapshot;
 use super::super::body::links::Links;
-use super::super::body::regression::{Fit, NEIGHBOURS, centered};
+use super::super::body::moments::NEIGHBOURS;
+use super::super::body::regression::{Fit, centered};
 use super::super::body::rotation::align;
 use super::alone::{Belief, Off};
 use super::carry::{learned_links, snapshots, spread, tracks_of};
