@@ -7,6 +7,9 @@
 //! other (`direction`). Which of them is which changes rarely, and is found for all frames at once (Viterbi 1967): a change
 //! costs what motion says against it (`onward`).
 //!
+//! Of two of different parts only the one keeps its place in a frame of neighbours, and the vector between them says little;
+//! there the place of the one decides (`settled`).
+//!
 //! A history in which they are exchanged half of the time expects both of them half-way. Then it is turned first: in the
 //! frame of the neighbours the vector between them lies along one line, and all that point against it are turned round.
 
@@ -18,8 +21,10 @@ use super::super::body::regression::{Fit, centered};
 use super::super::body::rotation::align;
 use super::alone::{Belief, Off};
 use super::carry::{learned_links, snapshots, spread, tracks_of};
+use super::close::median;
 use super::direction::{Direction, directions, line_along};
 use super::onward::{Onward, Past, Places};
+use super::settled::Settled;
 use super::thirds::{self, Third, thirds};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
@@ -34,6 +39,10 @@ const FRAMES_OF_REFERENCE: usize = 8;
 /// almost all frames.
 const ALIGNED: f64 = 0.8;
 const CLEAR: f64 = 0.95;
+/// One that keeps its place is within this (squared, in its spreads) in almost all frames.
+const HELD: f64 = 25.0;
+/// The vector between two of different parts is off by so many times the place of one that keeps it (squared).
+const RESTLESS: f64 = 4.0;
 /// Evidence of one frame at most (nats). Where one of the two is hidden and it is not known better (`alone`), what others say
 /// of the one that is seen is off alike for a while: it counts anew after so long (s).
 const MOST: f64 = 4.0;
@@ -100,6 +109,7 @@ struct Take<'a> {
 enum History {
     AsItIs,
     Turned,
+    Settled,
 }
 
 /// What one frame says: places of the two markers, and where they should be by their neighbours.
@@ -109,11 +119,19 @@ struct Look {
     expected: Option<[Vector3<f64>; 2]>,
 }
 
+/// What places are off those in the frame of their neighbours (m² per axis): the one's, the other's, and the vector between
+/// the two; `None` where it points anywhere.
+#[derive(Clone, Copy)]
+struct Errors {
+    places: [f64; 2],
+    between: Option<f64>,
+}
+
 /// What tells two markers apart.
 struct Told {
     looks: Vec<Look>,
-    /// What the places are off those in the frame of their neighbours (m²), where that tells them apart.
-    errors: Option<[f64; 3]>,
+    /// What the places are off those in the frame of their neighbours, where that tells them apart.
+    errors: Option<Errors>,
     /// How far the place of one alone is to be believed there.
     belief: Option<Belief>,
     thirds: Vec<Third>,
@@ -133,8 +151,10 @@ impl Told {
         let look = &self.looks[index];
         let by_frame = self.errors.map_or(0.0, |errors| by_frame(look, errors));
         let by_thirds = thirds::exchanged(&self.thirds, now, look.places).unwrap_or(0.0);
-        if let (Some(alone_s), Some(belief)) = (alone_s, self.belief) {
-            return belief.bounded(by_frame, alone_s) + look.bounded(by_thirds, dt_s);
+        // Without the vector between them, the places of both are off as alike from frame to frame as that of one alone.
+        let settled = self.errors.is_some_and(|e| e.between.is_none());
+        if let (Some(since_s), Some(belief)) = (alone_s.or(settled.then_some(dt_s)), self.belief) {
+            return belief.bounded(by_frame, since_s) + look.bounded(by_thirds, dt_s);
         }
         let by_direction = self.directions.iter_mut().find_map(|d| d.exchanged(pair, now)).unwrap_or(0.0);
         look.bounded(by_frame + by_thirds + by_direction, dt_s)
@@ -183,10 +203,17 @@ impl<'a> Take<'a> {
     /// What tells the two apart, if anything does; `step_s`: the usual time between two frames.
     fn told(&self, pair: [usize; 2], step_s: f64) -> Told {
         let thirds = thirds(&spread(&self.places), pair);
-        let by_frame = [History::AsItIs, History::Turned].into_iter().find_map(|history| {
+        let by = |history: History| {
             let looks = self.looks(pair, history);
-            errors(&looks).map(|errors| (looks, errors))
-        });
+            errors(&looks, history).map(|errors| (looks, errors))
+        };
+        let mut by_frame = by(History::AsItIs).or_else(|| by(History::Turned));
+        let is_better =
+            |place: f64| by_frame.as_ref().is_none_or(|(_, e)| e.between.is_none_or(|b| b > RESTLESS * place));
+        if is_better(LEAST_ERROR * LEAST_ERROR) {
+            let settled = by(History::Settled).filter(|(_, e)| is_better(e.places[0].min(e.places[1])));
+            by_frame = settled.or(by_frame);
+        }
         if let Some((looks, errors)) = by_frame {
             let belief = self.belief(&looks, errors, step_s);
             return Told { looks, errors: Some(errors), belief, thirds, directions: Vec::new() };
@@ -208,7 +235,8 @@ impl<'a> Take<'a> {
         let one = |(index, (seen, &time_s)): (usize, (&Places, &f64))| {
             let (change, dt_s) = (onward.change(&past, seen, time_s), time_s - last_s);
             let as_they_are = AS_IS_PER_S * dt_s.min(ANEW_S);
-            let alone = alone(seen).map(|k| time_s - std::mem::replace(&mut alone_s[k], time_s));
+            let alone = alone(seen).filter(|_| told.looks[index].expected.is_some());
+            let alone = alone.map(|k| time_s - std::mem::replace(&mut alone_s[k], time_s));
             let evidence = told.exchanged(pair, (index, &self.places[index]), dt_s, alone) - as_they_are;
             onward.take_in(&mut past, (index, seen, time_s));
             if seen.iter().any(Option::is_some) {
@@ -222,8 +250,7 @@ impl<'a> Take<'a> {
     }
 
     fn looks(&self, pair: [usize; 2], way: History) -> Vec<Look> {
-        let (history, sets) = (spread(&self.places), self.sets(pair));
-        let mut fits: Vec<[Fit; 2]> = sets.iter().filter_map(|set| self.fits(pair, set, &history, way)).collect();
+        let mut fits = self.fits(pair, way);
         let look = |now: &Snapshot| {
             let fit = fits.iter_mut().find(|f| f[0].can_use(now));
             let expected = fit.and_then(|[a, b]| Some([a.predict(now, 0.0)?.point, b.predict(now, 0.0)?.point]));
@@ -232,8 +259,24 @@ impl<'a> Take<'a> {
         self.places.iter().map(look).collect()
     }
 
+    /// Of the two in the frames of some sets of neighbours, the one to be used before the others first.
+    fn fits(&self, pair: [usize; 2], way: History) -> Vec<[Fit; 2]> {
+        let history = spread(&self.places);
+        let fit = |set: &Vec<usize>, history: &[Snapshot]| self.fit(pair, set, &history.iter().collect::<Vec<_>>());
+        match way {
+            History::AsItIs => self.sets(pair).iter().filter_map(|set| self.fit(pair, set, &history)).collect(),
+            History::Turned => {
+                self.sets(pair).iter().filter_map(|set| fit(set, &turned(pair, set, &history))).collect()
+            }
+            History::Settled => {
+                let settled = Settled::of(&self.links, &history, pair);
+                settled.map_or(Vec::new(), |s| s.sets.iter().filter_map(|set| fit(set, &s.history)).collect())
+            }
+        }
+    }
+
     /// How far the place of one of the two alone is to be believed.
-    fn belief(&self, looks: &[Look], errors: [f64; 3], step_s: f64) -> Option<Belief> {
+    fn belief(&self, looks: &[Look], errors: Errors, step_s: f64) -> Option<Belief> {
         let mut off: [Vec<Off>; 2] = Default::default();
         for (look, &time_s) in looks.iter().zip(self.times_s) {
             let (Some([a, b]), [Some(p), Some(q)]) = (look.expected, look.places) else { continue };
@@ -264,9 +307,7 @@ impl<'a> Take<'a> {
         self.links.frame_of(pair[0], &others, NEIGHBOURS)
     }
 
-    fn fits(&self, pair: [usize; 2], neighbours: &[usize], history: &[&Snapshot], way: History) -> Option<[Fit; 2]> {
-        let turned = (way == History::Turned).then(|| turned(pair, neighbours, history));
-        let history: &[&Snapshot] = &turned.as_ref().map_or(history.to_vec(), |t| t.iter().collect());
+    fn fit(&self, pair: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Option<[Fit; 2]> {
         let reference = history.iter().find(|s| neighbours.iter().all(|&n| s[n].is_some()))?;
         // What the markers were off at some moment long ago is forgotten.
         let long_ago = [(-1e9, (*reference).clone())];
@@ -321,9 +362,11 @@ fn turned([a, b]: [usize; 2], neighbours: &[usize], history: &[&Snapshot]) -> Ve
     found.into_iter().map(turn).collect()
 }
 
-/// Median squared errors (m²): of the one's place, of the other's, of the vector between them whichever way it points.
-/// `None` where too few frames tell.
-fn errors(looks: &[Look]) -> Option<[f64; 3]> {
+/// Errors by median; `None` where too few frames tell.
+fn errors(looks: &[Look], history: History) -> Option<Errors> {
+    if history == History::Settled {
+        return errors_of_settled(looks);
+    }
     let mut off: [Vec<f64>; 3] = Default::default();
     let mut clear = 0;
     for look in looks {
@@ -338,33 +381,61 @@ fn errors(looks: &[Look]) -> Option<[f64; 3]> {
             off[2].push((between - expected).norm_squared().min((between + expected).norm_squared()));
         }
     }
-    let median = |mut values: Vec<f64>| {
-        values.sort_unstable_by(f64::total_cmp);
-        (values.len() >= SHARED).then(|| (values[values.len() / 2] / 2.4).max(LEAST_ERROR * LEAST_ERROR))
-    };
     let [one, other, both] = off;
     if (clear as f64) < CLEAR * both.len() as f64 {
         return None;
     }
-    Some([median(one)?, median(other)?, median(both).unwrap_or(f64::INFINITY)])
+    Some(Errors { places: [variance(one)?, variance(other)?], between: Some(variance(both)?) })
+}
+
+/// The same where one of the two keeps its place and the other comes and goes, whichever of them is called which.
+fn errors_of_settled(looks: &[Look]) -> Option<Errors> {
+    let seen = || looks.iter().filter_map(|l| Some((l.expected?, [l.places[0]?, l.places[1]?])));
+    let off = |k: usize| {
+        let nearer = |(expected, [p, q]): ([Vector3<f64>; 2], [Vector3<f64>; 2])| {
+            let [p_off, q_off] = [p, q].map(|p| (p - expected[k]).norm_squared());
+            let other = if p_off < q_off { q } else { p };
+            [p_off.min(q_off), (other - expected[1 - k]).norm_squared()]
+        };
+        let (own, other): (Vec<f64>, Vec<f64>) = seen().map(nearer).map(|[own, other]| (own, other)).unzip();
+        let held = |own: &[f64], variance: f64| own.iter().filter(|o| **o < HELD * variance).count() as f64;
+        let spread = variance(own.clone())?;
+        (held(&own, spread) >= CLEAR * own.len() as f64).then_some([spread, variance(other)?])
+    };
+    let places = match [off(0), off(1)] {
+        [Some([one, other]), Some([again, _])] if one <= again => [one, other],
+        [_, Some([one, other])] => [other, one],
+        [Some([one, other]), None] => [one, other],
+        [None, None] => return None,
+    };
+    Some(Errors { places, between: None })
+}
+
+/// Variance per axis by the median of squares.
+fn variance(squared: Vec<f64>) -> Option<f64> {
+    let enough = squared.len() >= SHARED;
+    median(squared).filter(|_| enough).map(|m| (m / 2.4).max(LEAST_ERROR * LEAST_ERROR))
 }
 
 /// Evidence for the exchange of one frame (nats), by the two's places in the frame of their neighbours.
-fn by_frame(look: &Look, [one, other, both]: [f64; 3]) -> f64 {
+fn by_frame(look: &Look, errors: Errors) -> f64 {
     let Some([a, b]) = look.expected else { return 0.0 };
     let cost = |p: Vector3<f64>, q: Vector3<f64>, variance: f64| {
         let squared = (p - q).norm_squared() / variance;
         // Heavy-tailed: poses beyond those that are known.
         2.5 * (squared / 5.0).ln_1p() + 1.5 * variance.ln()
     };
-    match look.places {
-        [Some(p), Some(q)] => {
+    let [one, other] = errors.places;
+    let alone = |p: Vector3<f64>| cost(p, a, one) - cost(p, b, other);
+    match (look.places, errors.between) {
+        ([Some(p), Some(q)], Some(both)) => {
             let (between, expected) = (q - p, b - a);
             cost(between, expected, both) - cost(-between, expected, both)
         }
-        [Some(p), None] => cost(p, a, one) - cost(p, b, other),
-        [None, Some(q)] => cost(q, b, other) - cost(q, a, one),
-        [None, None] => 0.0,
+        ([Some(p), Some(q)], None) => alone(p) - alone(q),
+        ([Some(p), None], _) => alone(p),
+        ([None, Some(q)], _) => -alone(q),
+        ([None, None], _) => 0.0,
     }
 }
 
@@ -455,6 +526,27 @@ mod tests {
     fn near_markers_that_were_exchanged_half_of_the_time_are_told_apart() {
         let (mut truth, times_s) = take(400);
         // Both are hidden before each exchange: only their neighbours tell.
+        let hidden = |f: usize, track: u32| f % 40 < 10 && track >= 4;
+        truth.iter_mut().enumerate().for_each(|(f, frame)| frame.samples.retain(|s| !hidden(f, s.track)));
+        let mut frames = truth.clone();
+        exchange_where(&mut frames, [4, 5], &(0..400).map(|f| (f / 40) % 2 == 1).collect::<Vec<bool>>());
+        untangle(&mut frames, &times_s);
+        let (right, mut round) = (points(&truth), truth.clone());
+        exchange_where(&mut round, [4, 5], &[true; 400]);
+        assert!(points(&frames) == right || points(&frames) == points(&round));
+    }
+
+    #[test]
+    fn one_that_comes_and_goes_beside_another_part_is_told_by_the_one_that_stays() {
+        let (mut truth, times_s) = take(400);
+        for (frame, time_s) in truth.iter_mut().zip(&times_s) {
+            let [origin, along, up, beside] = [0, 1, 2, 4].map(|k| frame.samples[k].point);
+            let swing = Vector3::new(0.1 + 0.1 * (9.0 * time_s).sin(), 0.15 * (7.0 * time_s).cos(), 0.05);
+            let axes =
+                Matrix3::from_columns(&[along - origin, up - origin, (along - origin).cross(&(up - origin)) * 10.0]);
+            frame.samples[5].point = beside + axes * swing;
+        }
+        // Both are hidden before each exchange.
         let hidden = |f: usize, track: u32| f % 40 < 10 && track >= 4;
         truth.iter_mut().enumerate().for_each(|(f, frame)| frame.samples.retain(|s| !hidden(f, s.track)));
         let mut frames = truth.clone();

@@ -7,10 +7,11 @@
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
 //!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
-//! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, their
-//!    distances from a third one (`thirds`), the direction between them (`direction`) and motion (`onward`); how far the
-//!    place of one is to be believed while the other is hidden is learned (`alone`). What active markers told of themselves
-//!    stands above all that (`told`), read with all cameras together where their brightness is known.
+//! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, of different
+//!    parts by the place of the one that keeps it (`settled`), their distances from a third one (`thirds`), the direction
+//!    between them (`direction`) and motion (`onward`); how far the place of one is to be believed while the other is hidden
+//!    is learned (`alone`). What active markers told of themselves stands above all that (`told`), read with all cameras
+//!    together where their brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there that are no other
@@ -34,6 +35,7 @@ pub mod joints;
 mod onward;
 mod regain;
 mod relabel;
+mod settled;
 mod sides;
 mod slides;
 mod thirds;
