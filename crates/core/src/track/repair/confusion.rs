@@ -5,10 +5,8 @@
 //! place or the other's, which is believed as far as it proves right where both are (`alone`). So do their distances from
 //! a third marker of the part (`thirds`), and where neither does, at the end of a limb, the direction from the one to the
 //! other (`direction`). Which of them is which changes rarely, and is found for all frames at once (Viterbi 1967): a change
-//! costs what motion says against it (`onward`).
-//!
-//! Of two of different parts only the one keeps its place in a frame of neighbours, and the vector between them says little;
-//! there the place of the one decides (`settled`).
+//! costs what motion says against it (`onward`). Of two of different parts only one keeps its place, and that decides
+//! (`settled`).
 //!
 //! A history in which they are exchanged half of the time expects both of them half-way. Then it is turned first: in the
 //! frame of the neighbours the vector between them lies along one line, and all that point against it are turned round.
@@ -43,6 +41,8 @@ const CLEAR: f64 = 0.95;
 const HELD: f64 = 25.0;
 /// The vector between two of different parts is off by so many times the place of one that keeps it (squared).
 const RESTLESS: f64 = 4.0;
+/// A place that is kept is off by at most so many times what measurement alone is off (squared).
+const KEPT: f64 = 4.0;
 /// Evidence of one frame at most (nats). Where one of the two is hidden and it is not known better (`alone`), what others say
 /// of the one that is seen is off alike for a while: it counts anew after so long (s).
 const MOST: f64 = 4.0;
@@ -211,7 +211,8 @@ impl<'a> Take<'a> {
         let is_better =
             |place: f64| by_frame.as_ref().is_none_or(|(_, e)| e.between.is_none_or(|b| b > RESTLESS * place));
         if is_better(LEAST_ERROR * LEAST_ERROR) {
-            let settled = by(History::Settled).filter(|(_, e)| is_better(e.places[0].min(e.places[1])));
+            let kept = |place: f64| place < KEPT * self.usual_noise(pair) && is_better(place);
+            let settled = by(History::Settled).filter(|(_, e)| kept(e.places[0].min(e.places[1])));
             by_frame = settled.or(by_frame);
         }
         if let Some((looks, errors)) = by_frame {
@@ -221,6 +222,12 @@ impl<'a> Take<'a> {
         let looks = self.places.iter().map(|now| Look::of(pair, now)).collect();
         let directions = if thirds.is_empty() { directions(&spread(&self.places), pair) } else { Vec::new() };
         Told { looks, errors: None, belief: None, thirds, directions }
+    }
+
+    /// Variance of a place of the two by measurement (m² per axis).
+    fn usual_noise(&self, pair: [usize; 2]) -> f64 {
+        let noise = self.noise.iter().flat_map(|noise| pair.map(|p| noise[p])).filter(|noise| *noise > 0.0);
+        median(noise.collect()).unwrap_or(0.0).max(LEAST_ERROR * LEAST_ERROR)
     }
 
     /// Frames in which the two are to be exchanged, with the evidence for it; `None` if there are none.
