@@ -58,6 +58,11 @@ pub fn carry(frames: &mut [Tracked], times_s: &[f64], longest_s: f64, largest_si
     }
 }
 
+/// Takes out what is carried.
+pub(super) fn forget_carried(frames: &mut [Tracked]) {
+    frames.iter_mut().for_each(|f| f.samples.retain(|s| s.kind == Kind::Measured));
+}
+
 fn sample_of(track: u32, carried: &Carried, confidence: f64) -> Sample {
     Sample {
         track,

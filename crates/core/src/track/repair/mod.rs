@@ -14,8 +14,8 @@
 //!    together where their brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
-//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; where free dots lie there that are no other
-//!    hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together
+//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; samples of two rays of which one is rather a
+//!    hidden marker's go (`chance`); where free dots lie that are no other hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together
 //!    (`close`), and looked at once more for confusion.
 
 mod absorb;
@@ -24,6 +24,7 @@ mod alone;
 mod breaks;
 mod bridge;
 pub mod carry;
+mod chance;
 mod close;
 mod confusion;
 mod direction;
@@ -43,10 +44,11 @@ mod told;
 pub mod tracklets;
 mod twins;
 
-use super::{Kind, Sample, Shot, TrackOptions, Tracked};
+use super::{Sample, Shot, TrackOptions, Tracked};
 use crate::correspond::scene::Scene;
 use breaks::{cut_at_breaks, cut_at_slides};
-use carry::carry;
+use carry::{carry, forget_carried};
+use chance::Take;
 use close::measure_close;
 use confusion::untangle;
 use extend::{extend, forget_the_beginning};
@@ -88,9 +90,10 @@ pub fn repair(
     forget_the_beginning(&mut repaired);
     extend(scenes, shots, times_s, &mut repaired);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+    Take { scenes, shots, times_s, options }.without_chance(&mut repaired);
     let regained = regain(scenes, shots, times_s, &mut repaired);
     if measure_close(scenes, shots, times_s, &mut repaired) || regained {
-        repaired.iter_mut().for_each(|f| f.samples.retain(|s| s.kind == Kind::Measured));
+        forget_carried(&mut repaired);
         untangle(&mut repaired, times_s);
         carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     }

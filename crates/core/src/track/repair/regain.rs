@@ -53,7 +53,8 @@ fn is_known(sample: &Sample) -> bool {
     sample.kind == Kind::Predicted && sample.covariance.trace().sqrt() < KNOWN
 }
 
-fn prior(sample: &Sample, velocity: Vector3<f64>) -> Prior {
+/// A carried marker as it is looked for.
+pub(super) fn prior(sample: &Sample, velocity: Vector3<f64>) -> Prior {
     Prior {
         point: sample.point,
         covariance: sample.covariance,

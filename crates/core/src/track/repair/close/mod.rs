@@ -71,7 +71,17 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
             write(&mut frames[index], anew, |t| pair.passes(&counts, t), (scene_of(scenes, index), &shots[index]));
         }
     }
+    without_leftovers(&counts, &close, frames);
     !close.is_empty()
+}
+
+/// Takes away what is left of trajectories that pass and lost most of their samples to the pairs.
+fn without_leftovers(before: &BTreeMap<u32, usize>, close: &[&Pair], frames: &mut [Tracked]) {
+    let after = counts(frames);
+    let left = |t: &u32| after.get(t).copied().unwrap_or(0);
+    let is_leftover = |t: &u32| MUCH * left(t) < before[t] && close.iter().any(|p| p.passes(before, *t));
+    let leftovers: Vec<u32> = before.keys().copied().filter(|t| is_leftover(t)).collect();
+    frames.iter_mut().for_each(|f| f.samples.retain(|s| !leftovers.contains(&s.track)));
 }
 
 /// By pair of near trajectories, the frames in which a camera saw them apart, with the vector from the one to the other.
