@@ -2,8 +2,8 @@
 //! that two see. Where the rays are near enough to meet, something is measured, anywhere along them.
 //!
 //! Once the whole take says where hidden markers are, such a pair of dots is asked again: with the sample forgotten and its
-//! marker carried instead, is the second dot rather the marker's, which the first one shows where to look for, or rather a
-//! hidden one's? Lee et al. 2000, §5.2, ask the same of two lost markers before one is born.
+//! marker carried instead, are the dots rather one marker's, or one each of two that are hidden? Lee et al. 2000, §5.2, ask
+//! the same of two lost markers before one is born.
 
 use super::super::frame::Frame;
 use super::super::innovation::GATE;
@@ -58,10 +58,10 @@ impl Take<'_> {
         without
     }
 
-    /// Tracks that two dots measure in a frame, one of which may be a hidden marker's.
+    /// Tracks that two dots measure in a frame, one of which may be a hidden marker's; not those that told who they are.
     fn suspects(&self, index: usize, frames: &[Tracked]) -> Vec<u32> {
         let hidden = self.hidden(index, frames);
-        let measured = |s: &&Sample| s.kind == Kind::Measured && s.dots.len() == 2;
+        let measured = |s: &&Sample| s.kind == Kind::Measured && s.dots.len() == 2 && s.hardware.is_none();
         let samples: Vec<&Sample> = frames[index].samples.iter().filter(measured).collect();
         if hidden.is_empty() || samples.is_empty() {
             return Vec::new();
@@ -71,26 +71,24 @@ impl Take<'_> {
         samples.into_iter().filter(|s| s.dots.iter().any(|&d| near(d))).map(|s| s.track).collect()
     }
 
-    /// Those of the `suspects` of a frame of which one dot is rather a hidden marker's, given the other one.
+    /// Those of the `suspects` of a frame whose two dots are rather those of two hidden markers.
     fn met_by_chance(&self, index: usize, suspects: &[u32], frame: &Tracked, without: &[Tracked]) -> Vec<u32> {
         if suspects.is_empty() {
             return Vec::new();
         }
         let (hidden, image) = (self.hidden(index, without), self.image(index));
-        let is_given_out = |p: &Prior| p.covariance.trace().sqrt() < self.options.largest_sigma_m;
-        let is_anothers = |track: u32, known: u32, asked: u32| -> Option<bool> {
-            let own = &hidden.iter().find(|(t, _)| *t == track)?.1;
-            let as_own = image.seen(asked, &image.seen(known, own)?.posterior(own))?.ln;
-            let others = hidden.iter().filter(|(t, p)| *t != track && is_given_out(p));
-            Some(others.filter_map(|(_, p)| image.seen(asked, p)).any(|s| s.ln > as_own))
-        };
-        let met = |s: &&Sample| match s.dots[..] {
-            [a, b] if suspects.contains(&s.track) => {
-                [(a, b), (b, a)].into_iter().any(|(a, b)| is_anothers(s.track, a, b) == Some(true))
-            }
-            _ => false,
+        let met = |s: &&Sample| {
+            let is_asked = |(t, p): &&(u32, Prior)| *t == s.track || self.is_given_out(p);
+            let asked: Vec<&Prior> = hidden.iter().filter(is_asked).map(|(_, p)| p).collect();
+            let known = hidden.iter().any(|(t, _)| *t == s.track);
+            known && suspects.contains(&s.track) && image.is_rather_two(&asked, &s.dots)
         };
         frame.samples.iter().filter(met).map(|s| s.track).collect()
+    }
+
+    /// Whether a hidden marker is known well enough to be given out.
+    fn is_given_out(&self, prior: &Prior) -> bool {
+        prior.covariance.trace().sqrt() < self.options.largest_sigma_m
     }
 
     /// Where the hidden markers of a frame are, by track.
@@ -125,6 +123,22 @@ struct Seen {
 }
 
 impl Image<'_> {
+    /// Whether two dots are rather those of two of some markers than of one.
+    fn is_rather_two(&self, markers: &[&Prior], dots: &[u32]) -> bool {
+        let &[a, b] = dots else { return false };
+        let seen = |dot: u32| -> Vec<Option<Seen>> { markers.iter().map(|p| self.seen(dot, p)).collect() };
+        let (first, second) = (seen(a), seen(b));
+        let (mut one, mut two) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        for (k, as_first) in first.iter().enumerate().filter_map(|(k, s)| Some((k, s.as_ref()?))) {
+            if let Some(both) = self.seen(b, &as_first.posterior(markers[k])) {
+                one = one.max(as_first.ln + both.ln);
+            }
+            let others = second.iter().enumerate().filter(|(other, _)| *other != k).filter_map(|(_, s)| s.as_ref());
+            two = others.map(|s| as_first.ln + s.ln).fold(two, f64::max);
+        }
+        two > one
+    }
+
     fn seen(&self, dot: u32, prior: &Prior) -> Option<Seen> {
         let sight = self.frame.sight(dot);
         let lag_s = self.frame.lag_s(sight.camera);
@@ -144,5 +158,66 @@ impl Seen {
         let gain = prior.covariance * self.by_point.transpose() * self.inverse;
         let covariance = prior.covariance - gain * self.by_point * prior.covariance;
         Prior { point: prior.point + gain * self.offset, covariance, ..*prior }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::correspond::frame::Dot;
+    use crate::reconstruct::{ReconstructOptions, estimate_model};
+    use crate::synth::rigs::ring;
+    use nalgebra::{Matrix3, Vector3};
+
+    /// The frame in which two markers that stand still are asked about.
+    const ASKED: usize = 6;
+
+    /// Whether a marker stays measured in a frame by the dots that two cameras see of a place, with another one hidden then:
+    /// given how far the place and the other one are from the marker, along the rays of the first camera and the second (m).
+    fn stays(place_along_first: f64, other_along_second: f64) -> bool {
+        let rig = ring(4, 3.0, 20.0, 0.0, [1000.0, 1000.0], 1000.0);
+        let model = estimate_model(&rig, &[], &ReconstructOptions::default()).expect("the rig sees the stage");
+        let scene = Scene::new(&rig, &model);
+        let towards = |camera: usize, point: Vector3<f64>| (point - rig.cameras[camera].position_m).normalize();
+        let own = Vector3::new(0.02, 0.01, 0.0);
+        let place = own + place_along_first * towards(0, own);
+        let other = place + other_along_second * towards(1, place);
+        let dot = |camera: usize| {
+            let pixel = rig.cameras[camera].project_linear(&place).expect("it is in front").0;
+            Dot { camera, pixel: pixel.into(), sigma: 1.0, hardware: None }
+        };
+        let sample = |track: u32, point: Vector3<f64>, dots: &[u32]| {
+            Sample::new(track, (point, Matrix3::identity() * 1e-6), Kind::Measured, dots, 0.9)
+        };
+        let frame = |index: usize| match index {
+            ASKED => vec![sample(0, place, &[0, 1])],
+            _ => vec![sample(0, own, &[0, 1, 2]), sample(1, other, &[3, 4, 5])],
+        };
+        let mut frames: Vec<Tracked> =
+            (0..2 * ASKED).map(|i| Tracked { samples: frame(i), ..Tracked::default() }).collect();
+        let shot =
+            |i: usize| Shot { dots: if i == ASKED { vec![dot(0), dot(1)] } else { Vec::new() }, lag_s: Vec::new() };
+        let shots: Vec<Shot> = (0..frames.len()).map(shot).collect();
+        let times_s: Vec<f64> = (0..frames.len()).map(|i| i as f64 / 100.0).collect();
+        let options = TrackOptions::default();
+        carry(&mut frames, &times_s, options.memory_s, options.largest_sigma_m);
+        Take { scenes: &[(0, &scene)], shots: &shots, times_s: &times_s, options: &options }
+            .without_chance(&mut frames);
+        let found = frames[ASKED].samples.iter().find(|s| s.track == 0).expect("it is measured or carried");
+        let nearest = if found.kind == Kind::Measured { place } else { own };
+        assert!((found.point - nearest).norm() < 1e-3);
+        found.kind == Kind::Measured
+    }
+
+    #[test]
+    fn a_hidden_markers_dot_is_not_taken_for_another_ray() {
+        assert!(!stays(0.06, 0.05), "the second dot is the hidden one's");
+        assert!(!stays(-0.1, -0.08));
+    }
+
+    #[test]
+    fn two_rays_that_meet_where_the_marker_is_expected_stay() {
+        assert!(stays(0.0, 0.05), "the hidden one is behind it");
+        assert!(stays(0.0005, -0.1), "it is off by no more than its noise");
     }
 }

@@ -12,6 +12,8 @@ pub const MEDIAN: f64 = 2.366;
 const TURNING: [f64; 2] = [0.3, 10.0];
 /// Least spread of the length (m), and as a part of it.
 const LEAST_SPREAD_M: f64 = 5e-4;
+/// Nearly all vectors' lengths differ by less (median differences: 4 standard deviations).
+const USUAL: f64 = 6.0;
 
 /// What the vector does in general.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +50,11 @@ impl Habit {
         };
         let spread_m = off.max(LEAST_SPREAD_M);
         Some(Self { length_m, spread_m, turning: turning.clamp(range[0], range[1]) })
+    }
+
+    /// Whether a vector is about as long as it should be.
+    pub fn fits(&self, vector: &Vector3<f64>) -> bool {
+        (vector.norm() - self.length_m).abs() < USUAL * self.spread_m
     }
 
     /// Variance of a vector that points this way, roughly (m²).

@@ -71,17 +71,35 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
             write(&mut frames[index], anew, |t| pair.passes(&counts, t), (scene_of(scenes, index), &shots[index]));
         }
     }
-    without_leftovers(&counts, &close, frames);
+    hand_over_leftovers(&counts, &close, frames);
     !close.is_empty()
 }
 
-/// Takes away what is left of trajectories that pass and lost most of their samples to the pairs.
-fn without_leftovers(before: &BTreeMap<u32, usize>, close: &[&Pair], frames: &mut [Tracked]) {
+/// What is left of trajectories that pass and lost most of their samples to a pair is the one's of the two that is not
+/// measured, where it is as far from the other as the two are, or goes.
+fn hand_over_leftovers(before: &BTreeMap<u32, usize>, close: &[&Pair], frames: &mut [Tracked]) {
     let after = counts(frames);
-    let left = |t: &u32| after.get(t).copied().unwrap_or(0);
-    let is_leftover = |t: &u32| MUCH * left(t) < before[t] && close.iter().any(|p| p.passes(before, *t));
-    let leftovers: Vec<u32> = before.keys().copied().filter(|t| is_leftover(t)).collect();
-    frames.iter_mut().for_each(|f| f.samples.retain(|s| !leftovers.contains(&s.track)));
+    let is_leftover = |t: u32| MUCH * after.get(&t).copied().unwrap_or(0) < before[&t];
+    for &pair in close {
+        let leftovers: Vec<u32> =
+            before.keys().copied().filter(|t| pair.passes(before, *t) && is_leftover(*t)).collect();
+        for frame in frames.iter_mut() {
+            let place = |t: u32| frame.samples.iter().find(|s| s.track == t).map(|s| s.point);
+            let (free, other) = match pair.tracks.map(place) {
+                [Some(other), None] => (pair.tracks[1], other),
+                [None, Some(other)] => (pair.tracks[0], other),
+                _ => continue,
+            };
+            let fits = |s: &Sample| leftovers.contains(&s.track) && pair.habit.fits(&(s.point - other));
+            if let Some(sample) = frame.samples.iter_mut().find(|s| fits(s)) {
+                sample.track = free;
+                frame.samples.sort_by_key(|s| s.track);
+            }
+        }
+    }
+    let passes = |t: u32| close.iter().any(|p| p.passes(before, t)) && is_leftover(t);
+    let gone: Vec<u32> = before.keys().copied().filter(|t| passes(*t)).collect();
+    frames.iter_mut().for_each(|f| f.samples.retain(|s| !gone.contains(&s.track)));
 }
 
 /// By pair of near trajectories, the frames in which a camera saw them apart, with the vector from the one to the other.
