@@ -113,7 +113,7 @@ struct Image<'a> {
 
 /// A dot as a marker's.
 struct Seen {
-    /// Offset from where the marker is expected (px), what it is by the marker's place (px/m), and its covariance (px²).
+    /// Offset from where the marker is expected (px), its derivative by the marker's place (px/m), and its inverse covariance (px⁻²).
     offset: Vector2<f64>,
     by_point: Matrix2x3<f64>,
     inverse: Matrix2<f64>,

@@ -14,9 +14,9 @@
 //!    together where their brightness is known.
 //! 4. [`extend`]: trajectories are followed into their gaps, backwards and forwards, on the dots that nobody owns; also into
 //!    the first frames of the take.
-//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; samples of two rays of which one is rather a
-//!    hidden marker's go (`chance`); where free dots lie that are no other hidden marker's, it is measured (`regain`). Two near markers that cameras see as one dot are measured together
-//!    (`close`), and looked at once more for confusion.
+//! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; samples of two rays that are rather two
+//!    hidden markers' go (`chance`); where free dots lie that are no other hidden marker's, it is measured (`regain`). Two
+//!    near markers that cameras see as one dot are measured together (`close`), and looked at once more for confusion.
 
 mod absorb;
 mod ahead;

@@ -75,8 +75,8 @@ pub fn measure_close(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64]
     !close.is_empty()
 }
 
-/// What is left of trajectories that pass and lost most of their samples to a pair is the one's of the two that is not
-/// measured, where it is as far from the other as the two are, or goes.
+/// What is left of trajectories that pass and lost most of their samples to a pair is the one's of the two that has no
+/// sample, measured or carried, where it is as far from the other as the two are, or goes.
 fn hand_over_leftovers(before: &BTreeMap<u32, usize>, close: &[&Pair], frames: &mut [Tracked]) {
     let after = counts(frames);
     let is_leftover = |t: u32| MUCH * after.get(&t).copied().unwrap_or(0) < before[&t];
