@@ -1,6 +1,7 @@
 //! The dynamic model (Lee et al. 2000, §5): what is known about the places of markers relative to each other, learned
 //! while capturing, and the place of a hidden marker from it.
 //!
+//! - `fading`: how long what a prediction was off holds.
 //! - [`links`]: the mean and variance of distances, equations 17–18 repaired.
 //! - [`moments`]: ridge regression from moments.
 //! - [`regression`]: a hidden marker from its most reliable neighbours.
@@ -8,6 +9,7 @@
 //!
 //! Markers are named by slots, small numbers that are used again when a marker is gone for good; so memory is bounded.
 
+mod fading;
 pub mod links;
 pub(in crate::track) mod moments;
 pub mod regression;
@@ -68,6 +70,17 @@ struct Framing {
 
 /// Positions by slot at one moment.
 pub type Snapshot = Vec<Option<Vector3<f64>>>;
+
+/// A moment of a recorded take in which a marker was seen, before or after it was hidden.
+#[derive(Clone, Debug)]
+pub struct SeenAt {
+    /// Time (s).
+    pub time_s: f64,
+    /// Where all were.
+    pub places: Snapshot,
+    /// Covariance of its place (m²).
+    pub covariance: Matrix3<f64>,
+}
 
 /// The dynamic model of everything in the volume.
 #[derive(Clone, Debug, Default)]

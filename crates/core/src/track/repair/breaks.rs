@@ -1,10 +1,11 @@
-//! Tracklets that go on with another marker after a moment in which they were hidden, found out by their links.
+//! Tracklets that go on with another marker, found out by their links.
 //!
-//! Two markers that pass each other while both are hidden for a frame or two may leave no trace in their motion. But what
-//! kept its distance from one of them changes it from then on. A tracklet is cut where the links of the part before do not
+//! Two markers that pass each other while one or both are hidden for a frame or two may leave no trace in their motion. But
+//! what kept its distance from one of them changes it from then on. A tracklet is cut where the links of the part before do not
 //! hold after it, and those of the part after did not hold before; what belongs together is joined again with more to go by
 //! (`join.rs`).
 
+use super::doubts::doubts;
 use super::join::{Chain, Scene};
 use super::slides::slides;
 use super::tracklets::{Cut, Tracklet};
@@ -13,13 +14,14 @@ use rayon::prelude::*;
 
 /// Measured frames that a part needs to tell of its links.
 const LEAST: usize = 12;
-/// Frames after a gap that are looked at.
+/// Frames after a doubtful moment that are looked at.
 const LOOK: usize = 100;
 
 /// Tracklets cut where their links to the others break; `None` if they hold everywhere.
 pub(super) fn cut_at_breaks(cut: &Cut, frames: &[Tracked], times_s: &[f64]) -> Option<Cut> {
     let chains = singles(&cut.0);
-    cut_at(cut, &breaks(&Scene::new(&cut.0, times_s, &chains, &[])), frames).map(|(cut, _)| cut)
+    let found = breaks(&Scene::new(&cut.0, times_s, &chains, &[]), &doubts(cut, frames));
+    cut_at(cut, &found, frames).map(|(cut, _)| cut)
 }
 
 /// The same once there are chains, which tell more: also where a tracklet slid from one's marker to another's. With what is
@@ -31,7 +33,7 @@ pub(super) fn cut_at_slides(
     times_s: &[f64],
 ) -> Option<(Cut, Vec<Chain>)> {
     let scene = Scene::new(&cut.0, times_s, chains, &[]);
-    let mut found = breaks(&scene);
+    let mut found = breaks(&scene, &doubts(cut, frames));
     for ((found, slides), one) in found.iter_mut().zip(slides(&scene)).zip(&cut.0) {
         let apart = |a: usize, b: usize| one.within(a.min(b)..a.max(b)).measured >= LEAST;
         let new: Vec<usize> = slides.into_iter().filter(|&f| found.iter().all(|&b| apart(b, f))).collect();
@@ -84,20 +86,20 @@ pub(super) fn chain_of(scene: &Scene) -> Vec<usize> {
     chain_of
 }
 
-/// For each tracklet the frames from which on its links to others are another marker's.
-fn breaks(scene: &Scene) -> Vec<Vec<usize>> {
+/// For each tracklet the frames, of those in doubt, from which on its links to others are another marker's.
+fn breaks(scene: &Scene, doubts: &[Vec<usize>]) -> Vec<Vec<usize>> {
     let chain_of = chain_of(scene);
-    (0..chain_of.len()).into_par_iter().map(|t| scene.breaks_of(&scene.tracklets[t], chain_of[t])).collect()
+    let breaks_of = |t: usize| scene.breaks_of(&scene.tracklets[t], chain_of[t], &doubts[t]);
+    (0..chain_of.len()).into_par_iter().map(breaks_of).collect()
 }
 
 impl Scene<'_> {
-    /// Frames from which on a tracklet of a chain is another marker.
-    fn breaks_of(&self, one: &Tracklet, chain: usize) -> Vec<usize> {
+    /// Frames from which on a tracklet of a chain is another marker, of those in doubt.
+    fn breaks_of(&self, one: &Tracklet, chain: usize, doubts: &[usize]) -> Vec<usize> {
         let mut found = Vec::new();
         let mut from = one.first;
-        let returns = (one.first + 1..=one.last()).filter(|&f| one.at(f).is_some() && one.at(f - 1).is_none());
-        for hole in returns {
-            let (before, after) = (one.within(from..hole), one.within(hole..(hole + LOOK).min(one.last() + 1)));
+        for &doubt in doubts {
+            let (before, after) = (one.within(from..doubt), one.within(doubt..(doubt + LOOK).min(one.last() + 1)));
             if before.measured.min(after.measured) < LEAST {
                 continue;
             }
@@ -105,8 +107,8 @@ impl Scene<'_> {
                 Self::links(&self.profile_by(&[part], &[chain]), &self.distances_by(&[of]))
             };
             if fits(&before, &after) < 0.0 && fits(&after, &before) < 0.0 {
-                from = hole;
-                found.push(hole);
+                from = doubt;
+                found.push(doubt);
             }
         }
         found
@@ -145,7 +147,9 @@ mod tests {
         tracklets.push(Tracklet::of_places(0, (0..FRAMES).map(at).collect()));
         let times_s: Vec<f64> = (0..FRAMES).map(|f| f as f64 / 100.0).collect();
         let chains = singles(&tracklets);
-        breaks(&Scene::new(&tracklets, &times_s, &chains, &[]))
+        let mut doubts = vec![Vec::new(); tracklets.len()];
+        doubts[8] = vec![HIDDEN + 1];
+        breaks(&Scene::new(&tracklets, &times_s, &chains, &[]), &doubts)
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! What a whole take knows better than its single frames: identities that hold from end to end.
 //!
 //! 1. [`tracklets`]: the forward pass's trajectories are cut wherever their identity could be wrong, by where motion leads
-//!    (`ahead`, `ends`) and where links break (`breaks`); once there are chains, also where one slid from one chain's marker
-//!    to another's (`slides`), and its parts are joined anew. Pieces that follow another one's marker go or become one with
-//!    it (`twins`).
+//!    (`ahead`, `ends`) and where links break (`breaks`, asked where there is doubt: `doubts`); once there are chains, also
+//!    where one slid from one chain's marker to another's (`slides`), and its parts are joined anew. Pieces that follow
+//!    another one's marker go or become one with it (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
 //!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
@@ -28,6 +28,7 @@ mod chance;
 mod close;
 mod confusion;
 mod direction;
+mod doubts;
 mod ends;
 mod exchange;
 pub mod extend;
