@@ -23,6 +23,8 @@ const PUSH: f64 = 100.0;
 
 /// Frames at the beginning of a take into which the forward pass went without knowing how anything moves.
 const BEGINNING: usize = 5;
+/// So many rays do not meet by chance.
+const NO_CHANCE: usize = 3;
 
 /// One trajectory on its way into a gap.
 struct Runner {
@@ -41,15 +43,36 @@ pub fn extend(scenes: &[(usize, &Scene)], shots: &[Shot], times_s: &[f64], frame
 }
 
 /// Takes out what was measured in the first frames, so that it is found again backwards in time, by markers whose motion is
-/// known. What comes back only later, and could not be, stays.
-pub fn forget_the_beginning(frames: &mut [Tracked]) {
+/// known. What comes back only later, and could not be, stays. By frame, what was taken out.
+pub fn forget_the_beginning(frames: &mut [Tracked]) -> Vec<Vec<Sample>> {
     if frames.len() < 2 * BEGINNING {
-        return;
+        return Vec::new();
     }
     let tracks = |part: &[Tracked]| -> BTreeSet<u32> { part.iter().flat_map(measured).map(|s| s.track).collect() };
     let (soon, later) = (tracks(&frames[BEGINNING..2 * BEGINNING]), tracks(&frames[2 * BEGINNING..]));
-    for frame in &mut frames[..BEGINNING] {
-        frame.samples.retain(|s| later.contains(&s.track) && !soon.contains(&s.track));
+    let stays = |s: &Sample| later.contains(&s.track) && !soon.contains(&s.track);
+    let forget = |frame: &mut Tracked| {
+        let (stay, forgotten) = std::mem::take(&mut frame.samples).into_iter().partition(stays);
+        frame.samples = stay;
+        forgotten
+    };
+    frames[..BEGINNING].iter_mut().map(forget).collect()
+}
+
+/// Puts back what was `forgotten` of the first frames and not found again, where nothing else has its dots by now: of
+/// trajectories that enough rays saw not to be their chance meeting.
+pub fn recall_the_beginning(frames: &mut [Tracked], forgotten: Vec<Vec<Sample>>) {
+    let lost = |(frame, samples): (&Tracked, Vec<Sample>)| -> Vec<Sample> {
+        let is_lost = |s: &Sample| {
+            frame.samples.iter().all(|own| own.track != s.track && own.dots.iter().all(|d| !s.dots.contains(d)))
+        };
+        samples.into_iter().filter(is_lost).collect()
+    };
+    let lost: Vec<Vec<Sample>> = frames.iter().zip(forgotten).map(lost).collect();
+    let sure: BTreeSet<u32> = lost.iter().flatten().filter(|s| s.dots.len() >= NO_CHANCE).map(|s| s.track).collect();
+    for (frame, lost) in frames.iter_mut().zip(lost) {
+        frame.samples.extend(lost.into_iter().filter(|s| sure.contains(&s.track)));
+        frame.samples.sort_by_key(|s| s.track);
     }
 }
 
@@ -188,4 +211,56 @@ fn insert(frame: &mut Tracked, found: Vec<Sample>) {
     frame.samples.retain(|s| !tracks.contains(&s.track));
     frame.samples.extend(found);
     frame.samples.sort_by_key(|s| s.track);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix3, Vector3};
+
+    fn sample(track: u32, dots: &[u32]) -> Sample {
+        Sample::new(track, (Vector3::zeros(), Matrix3::identity() * 1e-6), Kind::Measured, dots, 0.9)
+    }
+
+    /// A take in which a marker is seen by these dots in the first frames and from a frame on by three.
+    fn take(first: &[&[u32]], from: usize) -> Vec<Tracked> {
+        let frame = |index: usize| {
+            let dots = first.get(index).copied().or((index >= from).then_some(&[0, 1, 2][..]));
+            Tracked { samples: dots.map(|d| sample(4, d)).into_iter().collect(), ..Tracked::default() }
+        };
+        (0..4 * BEGINNING).map(frame).collect()
+    }
+
+    fn seen(frames: &[Tracked]) -> Vec<usize> {
+        (0..BEGINNING).filter(|&f| !frames[f].samples.is_empty()).collect()
+    }
+
+    #[test]
+    fn what_is_not_found_again_of_the_first_frames_comes_back_if_enough_rays_saw_it() {
+        for (first, from, stays, back) in [
+            (&[&[0, 1, 2][..], &[0, 1]][..], 0, vec![], vec![0, 1]),
+            (&[&[0, 1, 2], &[0, 1]], usize::MAX, vec![], vec![0, 1]),
+            (&[&[0, 1], &[0, 1]], usize::MAX, vec![], vec![]),
+            (&[&[0, 1], &[0, 1]], 2 * BEGINNING, vec![0, 1], vec![0, 1]),
+        ] {
+            let mut frames = take(first, from.max(first.len()));
+            let forgotten = forget_the_beginning(&mut frames);
+            assert_eq!(seen(&frames), stays, "what could not be found again stays");
+            recall_the_beginning(&mut frames, forgotten);
+            assert_eq!(seen(&frames)[..back.len()], back);
+            assert!(back.is_empty() == seen(&frames).is_empty());
+        }
+    }
+
+    #[test]
+    fn what_was_found_again_or_lost_its_dots_stays_as_it_is() {
+        for found in [sample(4, &[3, 5, 6]), sample(7, &[2, 8])] {
+            let mut frames = take(&[&[0, 1, 2]], usize::MAX);
+            let forgotten = forget_the_beginning(&mut frames);
+            frames[0].samples.push(found.clone());
+            recall_the_beginning(&mut frames, forgotten);
+            let left: Vec<(u32, Vec<u32>)> = frames[0].samples.iter().map(|s| (s.track, s.dots.clone())).collect();
+            assert_eq!(left, [(found.track, found.dots)]);
+        }
+    }
 }

@@ -52,7 +52,7 @@ use carry::{carry, forget_carried};
 use chance::Take;
 use close::measure_close;
 use confusion::untangle;
-use extend::{extend, forget_the_beginning};
+use extend::{extend, forget_the_beginning, recall_the_beginning};
 use join::{Chain, join};
 use regain::regain;
 use told::follow_told;
@@ -88,8 +88,9 @@ pub fn repair(
     let mut repaired = identify(frames, times_s, TORN, Some(shots), &|part| told(IDENTIFIED * part));
     follow_told(&mut repaired, shots, scenes, times_s, lights);
     told(IDENTIFIED);
-    forget_the_beginning(&mut repaired);
+    let forgotten = forget_the_beginning(&mut repaired);
     extend(scenes, shots, times_s, &mut repaired);
+    recall_the_beginning(&mut repaired, forgotten);
     carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
     Take { scenes, shots, times_s, options }.without_chance(&mut repaired);
     let regained = regain(scenes, shots, times_s, &mut repaired);
@@ -97,6 +98,10 @@ pub fn repair(
         forget_carried(&mut repaired);
         untangle(&mut repaired, times_s);
         carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+        if regain(scenes, shots, times_s, &mut repaired) {
+            forget_carried(&mut repaired);
+            carry(&mut repaired, times_s, options.memory_s, options.largest_sigma_m);
+        }
     }
     repaired
 }

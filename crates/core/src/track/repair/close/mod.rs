@@ -19,7 +19,7 @@ use super::scene_of;
 use crate::correspond::scene::Scene;
 pub(super) use between::{Habit, MEDIAN, median};
 use look::{Given, Look, looks};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use part::{Anew, parts, turned};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -34,6 +34,8 @@ const STIFF: f64 = 0.3;
 const RUN_TOGETHER: f64 = 2.0;
 /// Frames from which the merging distance is learned.
 const SAMPLED: usize = 600;
+/// Dots that are explained so much better as it was speak against measuring anew (nats).
+const BETTER: f64 = 5.0;
 /// A trajectory is much shorter with fewer than one in so many of the frames.
 const MUCH: usize = 2;
 
@@ -221,10 +223,14 @@ fn write(frame: &mut Tracked, anew: Anew, passes: impl Fn(u32) -> bool, (scene, 
         return;
     }
     let own: Vec<&Sample> = frame.samples.iter().filter(|s| tracks.contains(&s.track)).collect();
-    let confidence = own.iter().map(|s| s.confidence).fold(0.0, f64::max);
-    let hardware = tracks.map(|t| own.iter().find(|s| s.track == t).and_then(|s| s.hardware));
     let mut rays = Frame::new(scene, &shot.dots);
     rays.lag_s.clone_from(&shot.lag_s);
+    if explained(&own, &rays, scene) > explained(&samples.each_ref(), &rays, scene) + BETTER {
+        rename(frame, &samples);
+        return;
+    }
+    let confidence = own.iter().map(|s| s.confidence).fold(0.0, f64::max);
+    let hardware = tracks.map(|t| own.iter().find(|s| s.track == t).and_then(|s| s.hardware));
     frame.samples.retain_mut(|s| {
         let before = s.dots.len();
         s.dots.retain(|d| samples.iter().all(|o| !o.dots.contains(d)));
@@ -233,6 +239,26 @@ fn write(frame: &mut Tracked, anew: Anew, passes: impl Fn(u32) -> bool, (scene, 
     let seen = samples.into_iter().zip(hardware).filter(|(s, _)| !s.dots.is_empty());
     frame.samples.extend(seen.map(|(s, hardware)| Sample { confidence, hardware, ..s }.with_rays(&rays)));
     frame.samples.sort_by_key(|s| s.track);
+}
+
+/// How much better dots are explained by samples of two markers than by nobody (nats): each by the one that has it, or by
+/// the middle of both.
+fn explained(samples: &[&Sample], frame: &Frame, scene: &Scene) -> f64 {
+    let mut dots: Vec<u32> = samples.iter().flat_map(|s| &s.dots).copied().collect();
+    dots.sort_unstable();
+    dots.dedup();
+    let one = |dot: &u32| {
+        let sight = frame.sight(*dot);
+        let lag_s = frame.lag_s(sight.camera);
+        let image =
+            |s: &&&Sample| Some(scene.rig.cameras[sight.camera].project_linear(&(s.point + s.velocity * lag_s))?.0);
+        let images: Vec<Vector2<f64>> =
+            samples.iter().filter(|s| s.dots.contains(dot)).filter_map(|s| image(&s)).collect();
+        let middle = images.iter().sum::<Vector2<f64>>() / images.len().max(1) as f64;
+        let squared = (frame.pixel(*dot) - middle).norm_squared() / sight.sigma_px.powi(2);
+        -0.5 * squared - (std::f64::consts::TAU * sight.sigma_px.powi(2)).ln() - frame.ln_alone[*dot as usize]
+    };
+    dots.iter().map(one).sum()
 }
 
 /// Gives what the two trajectories have measured to the one or the other by where the two are.
