@@ -127,8 +127,8 @@ impl Link {
     }
 }
 
-/// Joins tracklets into chains, beginning with those that are known. Flickers come last, and those that nothing speaks for
-/// are left out. `told`: how much is done (0–1), every now and then.
+/// Joins tracklets into chains, beginning with those that are known. Flickers come last; those that nothing speaks for, and
+/// chains that sit on nothing (`loose`), are left out. `told`: how much is done (0–1), every now and then.
 pub fn join(tracklets: &[Tracklet], known: Vec<Chain>, times_s: &[f64], told: &dyn Fn(f64)) -> Vec<Chain> {
     let single = |i: usize| Chain::of(tracklets, vec![i]);
     let longest = longest_flicker(tracklets);
@@ -161,6 +161,8 @@ pub fn join(tracklets: &[Tracklet], known: Vec<Chain>, times_s: &[f64], told: &d
         while join_once(tracklets, times_s, &mut chains, &joints, enough) {}
     }
     chains.retain(|c| c.length > FLICKER && c.tracklets.iter().any(|&t| !tracklets[t].is_flicker(longest)));
+    let mut loose = Scene::new(tracklets, times_s, &chains, &[]).loose().into_iter();
+    chains.retain(|_| loose.next() == Some(false));
     chains
 }
 

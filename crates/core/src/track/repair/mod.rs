@@ -6,7 +6,8 @@
 //!    another one's marker go or become one with it (`twins`).
 //! 2. [`join`]: the pieces are joined by the dynamic model, joint centres ([`joints`]) and motion (`bridge`); then two
 //!    chains at a time (`exchange`, and `sides` where their histories are mixed) and whole limbs (`relabel`) hand out their
-//!    pieces anew, and three of which only two are ever seen at once become two (`absorb`).
+//!    pieces anew, and three of which only two are ever seen at once become two (`absorb`). Where two rays met by
+//!    chance now and then there is no marker (`loose`).
 //! 3. `confusion`: near markers that were taken for each other are found out by the frame of their neighbours, of different
 //!    parts by the place of the one that keeps it (`settled`), their distances from a third one (`thirds`), the direction
 //!    between them (`direction`) and motion (`onward`); how far the place of one is to be believed while the other is hidden
@@ -16,7 +17,8 @@
 //!    the first frames of the take.
 //! 5. [`carry`]: what stays hidden is predicted from both ends of each gap; samples of two rays that are rather two
 //!    hidden markers' go (`chance`); where free dots lie that are no other hidden marker's, it is measured (`regain`). Two
-//!    near markers that cameras see as one dot are measured together (`close`), and looked at once more for confusion.
+//!    near markers that cameras see as one dot are measured together (`close`), looked at once more for confusion, and looked
+//!    for on free dots once more.
 
 mod absorb;
 mod ahead;
@@ -34,6 +36,7 @@ mod exchange;
 pub mod extend;
 pub mod join;
 pub mod joints;
+mod loose;
 mod onward;
 mod regain;
 mod relabel;

@@ -216,10 +216,14 @@ type PartsOf = fn(&[Tracklet], &[f64], f64) -> Vec<usize>;
 /// Measured frames up to which a stretch that only two rays ever saw may be their chance meeting: longer the rarer such
 /// samples are in this take (times their rarity in nats). Where cameras are few, markers themselves are seen so.
 pub(super) fn longest_flicker(tracklets: &[Tracklet]) -> usize {
+    (FLICKER as f64 * rarity(tracklets).max(1.0)).round() as usize
+}
+
+/// How rare samples of only two rays are in this take (nats).
+pub(super) fn rarity(tracklets: &[Tracklet]) -> f64 {
     let measured: usize = tracklets.iter().map(|t| t.measured).sum();
     let wide: usize = tracklets.iter().map(|t| t.wide).sum();
-    let rarity = (measured as f64 / (measured - wide).max(1) as f64).ln();
-    (FLICKER as f64 * rarity.max(1.0)).round() as usize
+    (measured as f64 / (measured - wide).max(1) as f64).ln()
 }
 
 /// For each tracklet the number of the one that it is part of, when it fits into the hole of another: for a frame or two the

@@ -212,7 +212,8 @@ impl Pair {
 }
 
 /// Puts the two in the place of what their trajectories had, and takes away what has lost its rays of those that pass.
-/// Where there may be one only, or the dots are another one's by now, what their trajectories had goes by its place.
+/// Where there may be one only, the dots are another one's by now, or were explained better before (the two's vector was lost),
+/// what their trajectories had stays and goes by its place.
 fn write(frame: &mut Tracked, anew: Anew, passes: impl Fn(u32) -> bool, (scene, shot): (&Scene, &Shot)) {
     let Anew { samples, two } = anew;
     let tracks = samples.each_ref().map(|s| s.track);
@@ -270,5 +271,62 @@ fn rename(frame: &mut Tracked, samples: &[Sample; 2]) {
     };
     if off(true) < off(false) {
         exchange(frame, samples.each_ref().map(|s| s.track));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::correspond::frame::Dot;
+    use crate::reconstruct::{ReconstructOptions, estimate_model};
+    use crate::synth::rigs::ring;
+    use nalgebra::Matrix3;
+
+    /// What two trajectories have in a frame in which three cameras see both markers (dots 0 to 5, by turns) and a fourth one
+    /// sees both in one dot (6), after these samples were put in their place: track, place on the x axis (m) and dots each.
+    fn written(before: &[(u32, f64, &[u32])], anew: [(u32, f64, &[u32]); 2]) -> Vec<(u32, Vec<u32>)> {
+        let rig = ring(4, 3.0, 20.0, 0.0, [1000.0, 1000.0], 1000.0);
+        let model = estimate_model(&rig, &[], &ReconstructOptions::default()).expect("the rig sees the stage");
+        let scene = Scene::new(&rig, &model);
+        let dot = |camera: usize, x: f64| {
+            let pixel = rig.cameras[camera].project_linear(&Vector3::new(x, 0.0, 0.0)).expect("it is in front").0;
+            Dot { camera, pixel: pixel.into(), sigma: 1.0, hardware: None }
+        };
+        let dots = (0..3).flat_map(|c| [dot(c, 0.0), dot(c, 0.02)]).chain([dot(3, 0.01)]).collect();
+        let sample = |(track, x, dots): (u32, f64, &[u32])| {
+            Sample::new(track, (Vector3::new(x, 0.0, 0.0), Matrix3::identity() * 1e-6), Kind::Measured, dots, 0.9)
+        };
+        let samples = before.iter().map(|b| sample(*b)).collect();
+        let mut frame = Tracked { samples, ..Tracked::default() };
+        let anew = Anew { samples: anew.map(sample), two: true };
+        write(&mut frame, anew, |_| false, (&scene, &Shot { dots, lag_s: Vec::new() }));
+        frame.samples.into_iter().map(|s| (s.track, s.dots)).collect()
+    }
+
+    #[test]
+    fn dots_that_are_explained_well_keep_their_samples() {
+        let before = [(1, 0.0, &[0, 2, 4][..]), (2, 0.02, &[1, 3, 5])];
+        let kept = vec![(1, vec![0, 2, 4]), (2, vec![1, 3, 5])];
+        assert_eq!(
+            written(&before, [(1, -0.02, &[0][..]), (2, 0.0, &[0, 2, 4])]),
+            kept,
+            "half of the dots are left over"
+        );
+        assert_eq!(written(&before, [(1, 0.01, &[0, 3, 5][..]), (2, 0.01, &[1, 2, 4])]), kept, "the dots are mixed up");
+    }
+
+    #[test]
+    fn kept_samples_go_by_the_names_of_where_the_two_are() {
+        let before = [(1, 0.0, &[0, 2, 4][..]), (2, 0.02, &[1, 3, 5])];
+        let turned = written(&before, [(1, 0.021, &[1, 3][..]), (2, -0.001, &[0, 2])]);
+        assert_eq!(turned, [(1, vec![1, 3, 5]), (2, vec![0, 2, 4])]);
+    }
+
+    #[test]
+    fn what_explains_more_dots_is_taken() {
+        let anew = [(1, 0.0, &[0, 2, 4, 6][..]), (2, 0.02, &[1, 3, 5, 6])];
+        let taken = vec![(1, vec![0, 2, 4, 6]), (2, vec![1, 3, 5, 6])];
+        assert_eq!(written(&[(1, 0.0, &[0, 2, 4])], anew), taken, "the other was hidden");
+        assert_eq!(written(&[(1, 0.01, &[0, 3, 5]), (2, 0.01, &[1, 2, 4])], anew), taken, "the dots were mixed up");
     }
 }
