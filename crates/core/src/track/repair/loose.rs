@@ -1,7 +1,8 @@
 //! Chains that are no marker: two rays that met by chance for some frames, here and there.
 //!
 //! What only two rays ever saw may be two markers' dots, where others were seen by more. A marker sits on something, so it
-//! keeps its distance to one beside it; where rays meet does not.
+//! keeps its distance to one beside it; where rays meet does not. A lone marker goes with them if no third camera ever sees it
+//! and it is measured for less than half a second in all.
 
 use super::join::{Chain, Scene, samples};
 use super::tracklets::rarity;
