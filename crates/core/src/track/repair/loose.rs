@@ -59,8 +59,8 @@ mod tests {
 
     const FRAMES: usize = 200;
 
-    /// Whether what is where told beside a body that turns is loose, given in which frames it is, and how many rays saw most
-    /// of the body's samples.
+    /// Whether something that two rays see in some frames, beside a body that turns, is loose: where it is in a frame, in which
+    /// frames it is seen, and whether the body is seen by more than two rays.
     fn is_loose(place: impl Fn(usize) -> Vector3<f64>, seen: std::ops::Range<usize>, by_more_than_two: bool) -> bool {
         let own = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [-0.1, -0.1, 0.0]];
         let narrow = |t: Tracklet| Tracklet { wide: 0, ..t };
